@@ -1,0 +1,1 @@
+"""The forward model: tissue, its transport in plane layers, and the reference tracer."""

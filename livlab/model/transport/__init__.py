@@ -1,0 +1,1 @@
+"""How light walks in plane layers."""

@@ -1,0 +1,1 @@
+"""Reports read run folders; they never simulate."""
