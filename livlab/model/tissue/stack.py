@@ -106,7 +106,9 @@ class PlaneLayer:
 
     def __post_init__(self) -> None:
         if not self.thickness_mm > 0:
-            raise InputError.of(f"{self.name}.thickness_mm", self.thickness_mm, "must be > 0", "Drop the layer or give it a thickness.")
+            raise InputError.of(
+                f"{self.name}.thickness_mm", self.thickness_mm, "must be > 0", "Drop the layer or give it a thickness."
+            )
         _check(f"{self.name}.n", self.n, 0.1, 10.0)
 
     @property
@@ -152,10 +154,24 @@ class OpticalStack:
             raise InputError.of("layers", (), "at least one layer is needed", "Add a layer.")
         for layer in self.layers[:-1]:
             if math.isinf(layer.thickness_mm):
-                raise InputError.of(f"{layer.name}.thickness_mm", layer.thickness_mm, "only the last layer may be infinite", "Give it a thickness.")
-        for what, values in [("n_above", self.n_above), ("n_below", self.n_below), *((f"{x.name}.n", x.n) for x in self.layers)]:
+                raise InputError.of(
+                    f"{layer.name}.thickness_mm",
+                    layer.thickness_mm,
+                    "only the last layer may be infinite",
+                    "Give it a thickness.",
+                )
+        for what, values in [
+            ("n_above", self.n_above),
+            ("n_below", self.n_below),
+            *((f"{x.name}.n", x.n) for x in self.layers),
+        ]:
             if len(values) != len(self.wavelength_nm):
-                raise InputError.of(what, len(values), f"must have {len(self.wavelength_nm)} entries, one a wavelength", "Give one value a wavelength.")
+                raise InputError.of(
+                    what,
+                    len(values),
+                    f"must have {len(self.wavelength_nm)} entries, one a wavelength",
+                    "Give one value a wavelength.",
+                )
 
     def at(self, indices: Sequence[int]) -> OpticalStack:
         """The same stack at some of its wavelengths."""
@@ -166,7 +182,9 @@ class OpticalStack:
                 x.thickness_mm,
                 x.n[ix],
                 tuple(
-                    Interaction(i.name, i.rate[ix], i.albedo[ix], tuple(i.phases[k] for k in ix), i.redirect, i.absorb_below_mm)
+                    Interaction(
+                        i.name, i.rate[ix], i.albedo[ix], tuple(i.phases[k] for k in ix), i.redirect, i.absorb_below_mm
+                    )
                     for i in x.interactions
                 ),
             )
@@ -197,7 +215,11 @@ def plain_stack(
 def _check(what: str, values: FloatArray, low: float, high: float) -> None:
     values = np.asarray(values)
     if values.ndim != 1 or values.size == 0:
-        raise InputError.of(what, values.shape, "must be a non-empty one-dimensional array", "Give one value a wavelength.")
+        raise InputError.of(
+            what, values.shape, "must be a non-empty one-dimensional array", "Give one value a wavelength."
+        )
     bad = ~(np.isfinite(values) & (values >= low) & (values <= high))
     if bad.any():
-        raise InputError.of(what, float(values[bad][0]), f"must be finite and within [{low:g}, {high:g}]", "Mend the value.")
+        raise InputError.of(
+            what, float(values[bad][0]), f"must be finite and within [{low:g}, {high:g}]", "Mend the value."
+        )
