@@ -1,0 +1,406 @@
+"""Find a libLLVM that Dr.Jit can use, and keep a bad one from ending the process.
+
+Dr.Jit takes the first libLLVM it meets. With LLVM 14 and older it switches its LLVM backend off; with 15 and 16 a
+kernel that holds an `fmaximum` aborts the whole process ("Cannot select"). So each candidate is judged by its version,
+and an allowed one has to run a small kernel in a process of its own before this process is pointed at it.
+
+Dr.Jit loads the library while it is being imported: call `choose_libllvm` before the first ``import drjit``.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Literal
+
+import platformdirs
+
+from livlab.errors import EnvironmentProblem
+
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+OLDEST_MAJOR = 17
+TESTED_MAJORS = (19,)
+PROBE_SECONDS = 60.0
+
+Verdict = Literal["good", "refused", "unknown"]
+
+_PREFERENCE = (19, 18, 17)
+_PATTERNS = {
+    "Linux": (
+        "/usr/lib/{machine}-linux-gnu/libLLVM*.so*",
+        "/usr/lib/llvm-*/lib/libLLVM*.so*",
+        "/usr/lib64/libLLVM*.so*",
+        "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+        "/usr/lib/libLLVM*.so*",
+        "/usr/local/lib/libLLVM*.so*",
+        "/home/linuxbrew/.linuxbrew/opt/llvm*/lib/libLLVM*.so*",
+    ),
+    "Darwin": (
+        "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+        "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+        "/opt/local/libexec/llvm-*/lib/libLLVM*.dylib",
+    ),
+}
+_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:[.\d]*)")
+_FOLDER = re.compile(r"llvm(?:@|-|/)(\d+)(?:[.\d]*)/")
+
+# A random number generator, a loop, gather and scatter, and the instruction that LLVM 15 and 16 cannot select: what the
+# transport kernels are made of. The answer is compared with one that no LLVM had a hand in.
+_PROBE = """
+import sys
+try:
+    import drjit as dr
+    from drjit.llvm import Float, UInt32
+except Exception as error:
+    print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    sys.exit(90)
+n = 37
+x = dr.arange(Float, n)
+y = dr.minimum(dr.maximum(x, dr.opaque(Float, 5.25)), dr.opaque(Float, 20.5))
+index, total = UInt32(0), Float(0)
+index, total = dr.while_loop((index, total), lambda i, t: i < 4, lambda i, t: (i + 1, t + dr.maximum(y, Float(i))))
+bins = dr.zeros(Float, 4)
+dr.scatter_add(bins, total, dr.arange(UInt32, n) % 4)
+got = sum(dr.gather(Float, bins, UInt32(0, 1, 2, 3)))
+want = sum(4 * min(max(float(i), 5.25), 20.5) for i in range(n))
+root = dr.sum(dr.exp(dr.log(dr.sqrt(dr.opaque(Float, 2.0))) * 2))[0]
+if abs(got - want) > 1e-3 or abs(root - 2) > 1e-5:
+    print(f"the probe kernel computed {got} and {root} instead of {want} and 2", file=sys.stderr)
+    sys.exit(91)
+print("probed", *dr.detail.llvm_version())
+"""
+
+
+@dataclass(frozen=True)
+class Libllvm:
+    """One candidate: where it lies, who named it, what it is, and whether Dr.Jit may use it.
+
+    Attributes
+    ----------
+    path
+        The library, links resolved.
+    origin
+        The environment variable or the search that named it.
+    major
+        Major version, None where neither the name nor a probe tells.
+    verdict
+        "good" (a probe kernel ran), "refused", or "unknown" (nothing to probe with).
+    reason
+        Why, in one sentence.
+    """
+
+    path: Path
+    origin: str
+    major: int | None
+    verdict: Verdict
+    reason: str
+
+
+_lock = threading.Lock()
+_probed: dict[str, tuple[Verdict, int | None, str]] = {}
+_chosen: Path | None = None
+
+
+def choose_libllvm() -> Path:
+    """Point Dr.Jit at a libLLVM that works, before it is imported.
+
+    A library named by the environment variable ``DRJIT_LIBLLVM_PATH`` is taken or refused, never replaced in silence.
+    Otherwise LLVM 19 is preferred, then 18 and 17, then newer ones. Safe to call often and from several threads.
+
+    Returns
+    -------
+    Path
+        The chosen library; ``DRJIT_LIBLLVM_PATH`` names it from now on.
+
+    Raises
+    ------
+    EnvironmentProblem
+        When there is none, when the one asked for is refused, or when Dr.Jit was imported before with a bad one.
+    """
+    global _chosen  # noqa: PLW0603
+    with _lock:
+        if _chosen is not None and os.environ.get(VARIABLE) == str(_chosen):
+            return _chosen
+        if "drjit" in sys.modules:
+            path = _adopt_loaded()
+        elif os.environ.get(VARIABLE):
+            path = _demand_good(_judge(Path(os.environ[VARIABLE]), VARIABLE))
+        else:
+            path = _first_good()
+        os.environ[VARIABLE] = str(path)
+        _chosen = path
+        return path
+
+
+def inspect_libllvm() -> list[Libllvm]:
+    """List every candidate with its verdict, in the order `choose_libllvm` would take them.
+
+    Returns
+    -------
+    list of Libllvm
+        Empty on a machine that has none. Never raises and never loads a library into this process.
+    """
+    with _lock:
+        found = []
+        named = os.environ.get(VARIABLE)
+        if named:
+            found.append(_judge(Path(named), VARIABLE))
+        found += [_judge(path, origin) for path, origin in _search() if not named or path != _resolve(Path(named))]
+        return found
+
+
+def install_command() -> str:
+    """Name the one command that brings a usable libLLVM to this machine."""
+    if platform.system() == "Darwin":
+        return "brew install llvm"
+    likes = _distribution()
+    if likes & {"debian", "ubuntu"}:
+        return "sudo apt-get install -y libllvm19"
+    if likes & {"fedora", "rhel"}:
+        return "sudo dnf install -y llvm-libs"
+    if "arch" in likes:
+        return "sudo pacman -S --needed llvm-libs"
+    return f"install the shared library of LLVM {OLDEST_MAJOR} or newer and set {VARIABLE} to it"
+
+
+def _distribution() -> set[str]:
+    try:
+        release = platform.freedesktop_os_release()
+    except OSError:
+        return set()
+    return {release.get("ID", ""), *release.get("ID_LIKE", "").split()}
+
+
+def _first_good() -> Path:
+    refused = []
+    for path, origin in _search():
+        candidate = _judge(path, origin)
+        if candidate.verdict == "good":
+            return candidate.path
+        if candidate.verdict == "unknown":
+            raise EnvironmentProblem(f"Dr.Jit cannot be used: {candidate.reason}.", remedy="Run `make setup`.")
+        refused.append(f"{candidate.path} ({candidate.reason})")
+    message = f"No usable libLLVM found (need {OLDEST_MAJOR} or newer)"
+    message += f"; refused: {'; '.join(refused)}." if refused else "."
+    raise EnvironmentProblem(message, remedy=f"Run `{install_command()}`.")
+
+
+def _demand_good(candidate: Libllvm) -> Path:
+    if candidate.verdict == "good":
+        return candidate.path
+    if candidate.verdict == "unknown":
+        raise EnvironmentProblem(f"Dr.Jit cannot be used: {candidate.reason}.", remedy="Run `make setup`.")
+    other = next((found for found in (_judge(*place) for place in _search()) if found.verdict == "good"), None)
+    remedy = f"Unset {VARIABLE}; livlab then takes {other.path}." if other else f"Run `{install_command()}`."
+    raise EnvironmentProblem(f"{VARIABLE} names {candidate.path}: {candidate.reason}.", remedy=remedy)
+
+
+def _adopt_loaded() -> Path:
+    """Judge the library a Dr.Jit imported earlier has taken: by now nobody can change it."""
+    loaded = _mapped()
+    if loaded is None and os.environ.get(VARIABLE):
+        loaded = Path(os.environ[VARIABLE])
+    remedy = (
+        f"Import livlab's model before drjit or mitsuba, or set {VARIABLE}; if there is none: `{install_command()}`."
+    )
+    if loaded is None:
+        raise EnvironmentProblem("Dr.Jit was imported before and found no libLLVM.", remedy=remedy)
+    candidate = _judge(loaded, "loaded by Dr.Jit")
+    if candidate.verdict != "good":
+        message = f"Dr.Jit was imported before and has loaded {candidate.path}: {candidate.reason}."
+        raise EnvironmentProblem(message, remedy=remedy)
+    return candidate.path
+
+
+def _mapped() -> Path | None:
+    """Path of the libLLVM in this process, where the system tells (Linux)."""
+    try:
+        lines = Path("/proc/self/maps").read_text().splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        fields = line.split(maxsplit=5)
+        if len(fields) == 6 and Path(fields[5]).name.startswith("libLLVM"):
+            return Path(fields[5])
+    return None
+
+
+def _search() -> list[tuple[Path, str]]:
+    """Collect the candidates, each once, best guess first."""
+    found: dict[Path, str] = {}
+    for path, origin in _places():
+        resolved = _resolve(path)
+        if resolved.is_file():
+            found.setdefault(resolved, origin)
+    return sorted(found.items(), key=lambda item: _rank(item[0]))
+
+
+def _places() -> Iterator[tuple[Path, str]]:
+    for pattern in _PATTERNS.get(platform.system(), ()):
+        filled = pattern.format(machine=platform.machine())
+        yield from ((path, filled) for path in _glob(filled))
+    for path in _glob(f"{sys.prefix}/lib/libLLVM*"):
+        yield path, "the Python environment"
+    name = ctypes.util.find_library("LLVM")
+    if name and Path(name).is_absolute():
+        yield Path(name), "the system's library search"
+
+
+def _glob(pattern: str) -> Iterable[Path]:
+    try:
+        return sorted(path for path in Path("/").glob(pattern.lstrip("/")) if re.search(r"\.(so|dylib)", path.name))
+    except OSError:
+        return []
+
+
+def _rank(path: Path) -> tuple[int, int, str]:
+    major = major_from_path(path)
+    if major in _PREFERENCE:
+        return (0, _PREFERENCE.index(major), str(path))
+    if major is None:
+        return (2, 0, str(path))
+    return (1, major, str(path)) if major >= OLDEST_MAJOR else (3, -major, str(path))
+
+
+def _resolve(path: Path) -> Path:
+    try:
+        return path.expanduser().resolve()
+    except (OSError, RuntimeError):
+        return path
+
+
+def major_from_path(path: Path) -> int | None:
+    """Read LLVM's major version from a library's name, or from the folder it lies in.
+
+    >>> major_from_path(Path("libLLVM-14.0.6.so.1")), major_from_path(Path("libLLVM.so.19.1"))
+    (14, 19)
+    >>> major_from_path(Path("/opt/homebrew/Cellar/llvm/20.1.2/lib/libLLVM.dylib"))
+    20
+    >>> major_from_path(Path("libLLVM.so")) is None
+    True
+    """
+    match = _NAME.search(path.name) or _FOLDER.search(str(path))
+    return int(match.group(1)) if match else None
+
+
+def _judge(path: Path, origin: str) -> Libllvm:
+    resolved = _resolve(path)
+    if not resolved.is_file():
+        return Libllvm(resolved, origin, None, "refused", "there is no such file")
+    major = major_from_path(resolved)
+    if major is not None and major < OLDEST_MAJOR:
+        return Libllvm(resolved, origin, major, "refused", _too_old(major))
+    verdict, seen, reason = _probe(resolved)
+    major = seen or major
+    if verdict == "good" and major is not None and major < OLDEST_MAJOR:
+        return Libllvm(resolved, origin, major, "refused", _too_old(major))
+    if verdict == "good" and major not in TESTED_MAJORS:
+        reason += f"; livlab's own tests ran with {', '.join(map(str, TESTED_MAJORS))} only"
+    return Libllvm(resolved, origin, major, verdict, reason)
+
+
+def _too_old(major: int) -> str:
+    why = "Dr.Jit refuses it" if major < 15 else "it aborts the process at a kernel that uses fmaximum"
+    return f"LLVM {major} is too old: {why}"
+
+
+def _probe(path: Path) -> tuple[Verdict, int | None, str]:
+    """Run a small kernel with this library in another process, once per file and Dr.Jit version."""
+    try:
+        drjit = version("drjit")
+        stat = path.stat()
+    except PackageNotFoundError:
+        return "unknown", None, "the package drjit is not installed"
+    except OSError as error:
+        return "refused", None, f"it cannot be read ({error.strerror})"
+    key = json.dumps([str(path), stat.st_mtime_ns, stat.st_size, drjit, hashlib.sha256(_PROBE.encode()).hexdigest()])
+    if key not in _probed:
+        verdict = _recall(key)
+        if verdict is None:
+            verdict, final = _run_probe(path)
+            if final:
+                _remember(key, verdict)
+        _probed[key] = verdict
+    return _probed[key]
+
+
+def _run_probe(path: Path) -> tuple[tuple[Verdict, int | None, str], bool]:
+    """Verdict of a fresh probe, and whether it would be the same another day."""
+    environment = {**os.environ, VARIABLE: str(path)}
+    # Dr.Jit keeps compiled kernels below the home folder, and one from a good LLVM would hide a bad one.
+    environment.pop("HOME", None)
+    environment.pop("DRJIT_CACHE_DIR", None)
+    command = [sys.executable or "python3", "-P", "-c", _PROBE]
+    try:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=PROBE_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return ("refused", None, f"the probe kernel did not end within {PROBE_SECONDS:.0f} s"), False
+    except OSError as error:
+        return ("unknown", None, f"the probe could not be started ({error.strerror})"), False
+    lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("jit_init():")]
+    last = lines[-1].strip()[:200] if lines else "it said nothing"
+    if done.returncode == 0 and done.stdout.startswith("probed"):
+        numbers = done.stdout.split()[1:]
+        return ("good", int(numbers[0]), f"LLVM {'.'.join(numbers)} ran the probe kernel"), True
+    if done.returncode == 90:
+        return ("unknown", None, f"importing drjit failed: {last}"), False
+    if done.returncode < 0:
+        error_line = next((line for line in lines if "LLVM ERROR" in line), last)[:200]
+        return ("refused", None, f"the probe kernel ended its process by signal {-done.returncode}: {error_line}"), True
+    return ("refused", None, f"the probe kernel failed: {last}"), done.returncode == 91
+
+
+def _cache_file(key: str) -> Path | None:
+    folder = Path(platformdirs.user_cache_dir("livlab"))
+    if not folder.is_absolute():  # no home to speak of
+        return None
+    return folder / "libllvm" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
+
+
+@dataclass(frozen=True)
+class _Record:
+    key: str
+    verdict: Verdict
+    major: int | None
+    reason: str
+
+
+def _recall(key: str) -> tuple[Verdict, int | None, str] | None:
+    file = _cache_file(key)
+    if file is None:
+        return None
+    try:
+        record = _Record(**json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+    if record.key != key or record.verdict not in ("good", "refused"):
+        return None
+    return record.verdict, record.major, record.reason
+
+
+def _remember(key: str, verdict: tuple[Verdict, int | None, str]) -> None:
+    """Write the verdict in one move; a cache that cannot be written only costs the next process a probe."""
+    file = _cache_file(key)
+    if file is None:
+        return
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, encoding="utf-8", delete=False) as handle:
+            json.dump(asdict(_Record(key, *verdict)), handle)
+        Path(handle.name).replace(file)
+    except OSError:
+        return
