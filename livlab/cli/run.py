@@ -1,7 +1,104 @@
-"""Placeholder until its owner writes it."""
+"""`livlab run`, `livlab schema`, `livlab report`."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+
+from livlab.errors import ConfigError, Interrupted
+
+if TYPE_CHECKING:
+    from livlab.runs import Outcome
+
+_COLOURS = {"PASS": "green", "FAIL": "bold red", "MISSING": "yellow"}
 
 
 def register(app: typer.Typer) -> None:
-    """Register the command."""
+    """Register the commands."""
+    app.command("run")(run)
+    app.command("schema")(schema)
+    app.command("report")(report)
+
+
+def run(
+    files: Annotated[list[Path], typer.Argument(help="Experiment files (TOML).", metavar="FILE...")],
+    force: Annotated[bool, typer.Option("--force", help="Run again even if the result is there.")] = False,
+    out: Annotated[Path, typer.Option("--out", help="Folder that holds the run folders.")] = Path("runs"),
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the report's path.")] = False,
+) -> None:
+    """Run experiments: simulate, measure, compare, report. What is done already is found, not done again."""
+    from livlab.cli.progress import watched
+    from livlab.config import load_experiment
+    from livlab.runs import execute
+
+    experiments = [(file, load_experiment(file)) for file in files]
+    for file, experiment in experiments:
+        command = shlex.join(["livlab", "run", str(file), *(["--out", str(out)] if out != Path("runs") else [])])
+        try:
+            with watched(experiment.title or experiment.name, quiet=quiet) as progress:
+                outcome = execute(experiment, base=out, force=force, command=command, progress=progress)
+        except KeyboardInterrupt:
+            raise Interrupted("Stopped.", remedy=f"To go on: {command}") from None
+        except Interrupted as stopped:
+            raise Interrupted(stopped.message, remedy=f"To go on: {command}") from None
+        _show(outcome, quiet=quiet)
+
+
+def schema(
+    out: Annotated[Path | None, typer.Option("--out", help="Write it to a file instead.")] = None,
+) -> None:
+    """Print the JSON Schema of experiment files, for editors that complete and check as one types."""
+    from livlab.config import json_schema
+    from livlab.runs_files import write_whole
+
+    text = json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        write_whole(out, text)
+        typer.echo(out)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="A run folder, runs/NAME-DIGEST.", metavar="RUN")],
+) -> None:
+    """Build the report of a run folder again, from its files alone."""
+    from livlab.runs import read_manifest, rebuild_report
+
+    if not folder.is_dir():
+        raise ConfigError(f"{folder} is no run folder.", remedy="Name a folder that `livlab run` made.")
+    if not read_manifest(folder):
+        raise ConfigError(f"{folder} has no readable manifest.json.", remedy="Name a folder that `livlab run` made.")
+    typer.echo(rebuild_report(folder))
+
+
+def _show(outcome: Outcome, *, quiet: bool) -> None:
+    if not quiet:
+        console = Console()
+        if outcome.claims:
+            console.print(_table(outcome.claims))
+        if outcome.cached:
+            console.print("Done before; --force runs it again.", highlight=False)
+    typer.echo(outcome.report or outcome.folder)
+
+
+def _table(claims: list[dict[str, str]]) -> Table:
+    from livlab.criteria import format_value
+
+    table = Table(title=None, header_style="bold")
+    for column, justify in (("criterion", "left"), ("value ± error", "right"), ("reference", "right"), ("", "left")):
+        table.add_column(column, justify="right" if justify == "right" else "left", overflow="fold")
+    for claim in claims:
+        value = float(claim["value"]) if claim["value"] else None
+        error = float(claim["standard_error"]) if claim["standard_error"] else None
+        shown = format_value(value, error) + (f" ± {format_value(error, error)}" if error else "")
+        wanted = f"{claim['reference']} ± {claim['tolerance']}" if claim["reference"] else "–"
+        verdict = claim["verdict"]
+        table.add_row(claim["criterion"], shown, wanted, f"[{_COLOURS.get(verdict, '')}]{verdict}[/]")
+    return table
