@@ -96,7 +96,7 @@ def pearson(values: ArrayLike, reference: ArrayLike, *, weights: ArrayLike | Non
     --------
     >>> round(pearson([1, 2, 3], [2, 4, 6]), 12)
     1.0
-    >>> pearson([1, 2, 3], [5, 5, 5])
+    >>> pearson([1, 2, 3], [5, 5, 5])  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
     livlab.errors.InputError: reference = 'spread 0, level 5': is constant: it has no Pearson correlation. ...
@@ -335,19 +335,20 @@ def _noise(
 
 
 def _standardised(name: str, x: FloatArray, w: FloatArray) -> FloatArray:
-    level = float(np.max(np.abs(x)))
-    if level == 0.0:
-        raise _no_pearson(name, 0.0, 0.0, "constant")
-    scaled = x / level
+    live = x[w > 0]
+    level = float(np.max(np.abs(live)))
+    if float(np.ptp(live)) == 0.0:
+        raise _no_pearson(name, 0.0, level, "constant")
+    exponent = math.frexp(level)[1]
+    # By a power of two, which rounds nothing.
+    scaled = np.ldexp(np.where(w > 0, x, 0.0), -exponent)
     centred = scaled - np.sum(w * scaled)
     # The first mean is rounded; taking out what it left makes the second pass exact to rounding.
     centred = centred - np.sum(w * centred)
     spread = math.sqrt(float(np.sum(w * np.square(centred))))
-    live = scaled[w > 0]
-    if float(np.ptp(live)) == 0.0:
-        raise _no_pearson(name, 0.0, level, "constant")
     if spread <= NEARLY_CONSTANT:
-        raise _no_pearson(name, spread * level, level, f"nearly constant (below {NEARLY_CONSTANT:g} of its level)")
+        what = f"nearly constant (below {NEARLY_CONSTANT:g} of its level)"
+        raise _no_pearson(name, math.ldexp(spread, exponent), level, what)
     return np.asarray(centred / spread, dtype=np.float64)
 
 
