@@ -1,0 +1,318 @@
+"""Build the report page of a run folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections import Counter
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from livlab.errors import EnvironmentProblem
+from livlab.reports import figures
+from livlab.reports.folder import RunData, read_run
+from livlab.reports.tables import Claims, Code, Picture, Section, Text, claim_rows, from_frame, number
+
+ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
+
+
+def build_report(run_folder: Path) -> Path:
+    """Write `report.html` and `figures/*.svg` from what a run folder holds, and nothing else.
+
+    The page is one file: no script, no request to anywhere, everything escaped that came from a user's file.
+
+    Raises
+    ------
+    InputError
+        The folder is not a run folder, or is damaged.
+    EnvironmentProblem
+        The page cannot be written.
+    """
+    run = read_run(run_folder)
+    pictures = _Pictures()
+    sections = [s for s in _sections(run, pictures) if s.content]
+    environment = Environment(
+        loader=PackageLoader("livlab.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    counts = Counter(row["verdict"] for row in claim_rows(run.claims, {}))
+    text = environment.get_template("report.html.j2").render(
+        title=str(run.config.get("title") or run.manifest.get("name", run.path.name)),
+        description=str(run.config.get("description", "")),
+        manifest={"livlab": run.manifest.get("livlab", "unknown"), **run.manifest},
+        css=Markup(files("livlab.reports").joinpath("templates/style.css").read_text(encoding="utf-8")),
+        verdicts=[(v, counts[v]) for v in ICONS if counts[v]],
+        icons=ICONS,
+        facts=_facts(run),
+        complete=run.complete,
+        rerun=str(run.manifest.get("command", "livlab run")),
+        notes=[str(n) for n in run.manifest.get("notes", [])],
+        sections=sections,
+        folder=run.path.name,
+    )
+    try:
+        (run.path / "figures").mkdir(exist_ok=True)
+        for name, svg in pictures.plain.items():
+            _write(run.path / "figures" / f"{name}.svg", '<?xml version="1.0" encoding="utf-8"?>\n' + svg)
+        _write(run.path / "report.html", text)
+    except OSError as error:
+        raise EnvironmentProblem(
+            f"the report cannot be written to {run.path}: {error.strerror}.",
+            remedy="Free some space or make the folder writable, then `livlab report` it again.",
+        ) from error
+    return run.path / "report.html"
+
+
+class _Pictures:
+    """Figures drawn once: plain for the folder, themed for the page."""
+
+    def __init__(self) -> None:
+        self.plain: dict[str, str] = {}
+
+    def add(self, name: str, figure: Any, caption: str) -> Picture:
+        self.plain[name] = figures.svg(figure)
+        return Picture(Markup(figures.inline(self.plain[name], name, caption)), caption)
+
+
+def _facts(run: RunData) -> list[tuple[str, str]]:
+    m = run.manifest
+    rows = [
+        ("run", f"{m.get('name', run.path.name)} · {str(m.get('digest', ''))[:12]}"),
+        ("finished", str(m.get("finished") or "not yet")),
+        ("took", f"{number(m.get('seconds'), 3)} s"),
+    ]
+    if run.result is not None:
+        wavelength = run.result["wavelength"].to_numpy()
+        span = f"{number(float(wavelength[0]))}–{number(float(wavelength[-1]))} nm, {len(wavelength)} wavelengths"
+        rows.append(("band", span if len(wavelength) > 1 else f"{number(float(wavelength[0]))} nm"))
+        instrument = run.result.attrs.get("instrument")
+        if instrument:
+            rows.append(("instrument", _spell(instrument)))
+    return rows
+
+
+def _spell(instrument: Any) -> str:
+    try:
+        data = json.loads(instrument) if isinstance(instrument, str) else dict(instrument)
+    except ValueError:
+        return str(instrument)
+    kind = data.pop("kind", "instrument")
+    parts = [f"{k.replace('_', ' ')} {number(v)}" for k, v in data.items()]
+    return f"{kind} ({', '.join(parts)})" if parts else str(kind)
+
+
+def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
+    claims = Section("claims", "What is claimed, and whether it holds")
+    if len(run.claims):
+        claims.content.append(
+            Claims(
+                "A claim passes when its value lies within the tolerance of the reference. "
+                "MISSING: the reference or the value is not available.",
+                claim_rows(run.claims, dict(run.manifest.get("claim_notes", {}))),
+            )
+        )
+    else:
+        claims.content.append(Text("This run makes no claims."))
+    return [
+        claims,
+        _curves(run, pictures),
+        _coefficients(run, pictures),
+        _budget(run, pictures),
+        _tissue(run),
+        _readings(run),
+        _provenance(run),
+        _cost(run),
+        _again(run),
+    ]
+
+
+def _curves(run: RunData, pictures: _Pictures) -> Section:
+    section = Section("curves", "The measured curves")
+    if run.result is None:
+        section.content.append(Text("No reading has been measured yet."))
+        return section
+    if "curve" in run.result:
+        smoothing = str(run.result.attrs.get("smoothing", "")).strip()
+        section.content.append(
+            pictures.add(
+                "curves",
+                figures.curves(run.result),
+                "Each reading's curve as the virtual instrument saw it, against the reference. Bands: ±2 standard "
+                "errors of the simulation; grey: ±1 SD of the reference over its subjects. Beneath: what is left."
+                + (f" Processing: {smoothing}." if smoothing else ""),
+            )
+        )
+    section.content.append(
+        pictures.add(
+            "absolute",
+            figures.absolute(run.result),
+            "The same readings before any normalisation, at the simulated wavelengths; bars: ±2 standard errors.",
+        )
+    )
+    spectra = run.table("spectra")
+    if len(spectra):
+        section.content.append(
+            from_frame(
+                spectra,
+                "The simulated values at every wavelength.",
+                titles={"wavelength_nm": "wavelength [nm]"},
+                folded="The numbers",
+            )
+        )
+    return section
+
+
+def _coefficients(run: RunData, pictures: _Pictures) -> Section:
+    section = Section("coefficients", "What the tissue is made of, optically")
+    if run.coefficients is not None:
+        section.content.append(
+            pictures.add(
+                "coefficients",
+                figures.coefficients(run.coefficients),
+                "Absorption and scattering coefficient of every element in the tissue (the largest over its layers), "
+                "under each reading. A curve that is missing is zero.",
+            )
+        )
+    return section
+
+
+def _budget(run: RunData, pictures: _Pictures) -> Section:
+    section = Section("energy", "Where the light went")
+    if run.result is None:
+        return section
+    parts = figures.budget_parts(run.result)
+    if not parts:
+        return section
+    section.content.append(
+        pictures.add(
+            "energy",
+            figures.budget(run.result),
+            "Shares of the incident light at every wavelength; they add up to 1 within the residual.",
+        )
+    )
+    readings = [str(r) for r in run.result["reading"].values]
+    if "redirect_loss" in run.result:
+        loss = run.result["redirect_loss"].transpose("reading", "wavelength").to_numpy()
+        for k, reading in enumerate(readings):
+            largest = float(np.nanmax(np.abs(loss[k]), initial=0.0))
+            if largest > 1e-9:
+                section.content.append(
+                    Text(
+                        f"The {reading} reading does not conserve energy: the cosine factor of the thesis's "
+                        f"Algorithm 2 removes up to {100 * largest:.1f} % of the incident light; no element absorbs it."
+                    )
+                )
+    if "residual" in run.result:
+        worst = float(np.nanmax(np.abs(run.result["residual"].to_numpy()), initial=0.0))
+        section.content.append(Text(f"Largest share unaccounted for, over all readings and wavelengths: {worst:.1e}."))
+    table = run.table("budget")
+    if len(table):
+        section.content.append(from_frame(table, "The budget at every wavelength.", folded="The numbers"))
+    return section
+
+
+def _tissue(run: RunData) -> Section:
+    section = Section("tissue", "The tissue")
+    table = run.table("tissue")
+    if len(table):
+        section.content.append(
+            from_frame(table, "Layers from the lit side down, their elements and parameters, and where each is from.")
+        )
+    return section
+
+
+def _readings(run: RunData) -> Section:
+    section = Section("readings", "The readings, side by side")
+    table = run.table("readings")
+    if len(table):
+        section.content.append(
+            Text(
+                "The thesis contradicts itself or physics in places. A reading is a named choice at each of them; "
+                "rows where the readings differ are shaded."
+            )
+        )
+        section.content.append(
+            from_frame(table, "One row a place where the text cannot be taken at its word.", marked="differs")
+        )
+    return section
+
+
+def _provenance(run: RunData) -> Section:
+    section = Section("provenance", "Where every number came from")
+    table = run.table("provenance")
+    if len(table):
+        section.content.append(
+            from_frame(table, "Datasets this run used; each was checked against its hash.", short=["sha256"])
+        )
+    return section
+
+
+def _cost(run: RunData) -> Section:
+    section = Section("cost", "What it cost")
+    costs = run.table("costs")
+    if not len(costs):
+        return section
+    section.content.append(from_frame(costs, "Wall-clock time of each stage on the machine named below."))
+    simulated = costs[costs["samples"].fillna(0) > 0] if "samples" in costs else pd.DataFrame()
+    if len(simulated):
+        seconds = float(simulated["seconds"].sum())
+        section.content.append(
+            Text(
+                f"Sampling took {number(seconds, 3)} s. A Monte Carlo error falls with the square root of the samples: "
+                f"the next digit costs 100×, {_duration(100 * seconds)} here."
+            )
+        )
+    return section
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def _again(run: RunData) -> Section:
+    m = run.manifest
+    section = Section("rerun", "How to run it again")
+    section.content.append(Code(str(m.get("command", "livlab run"))))
+    machine = {
+        key: m[key]
+        for key in ("livlab", "python", "platform", "cores", "memory_gib", "libllvm", "variant", "seed", "started")
+        if m.get(key) not in (None, "")
+    }
+    packages = m.get("packages", {})
+    frame = pd.DataFrame(
+        [(k.replace("_", " "), number(v) if not isinstance(v, str) else v) for k, v in machine.items()],
+        columns=["what", "value"],
+    )
+    section.content.append(from_frame(frame, "The machine and the versions the numbers were made with."))
+    if packages:
+        versions = pd.DataFrame(sorted(packages.items()), columns=["package", "version"])
+        section.content.append(from_frame(versions, "Package versions.", folded="Package versions"))
+    section.content.append(Code(run.config_text, folded="The experiment in full, every default written out"))
+    return section
+
+
+def _write(target: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}-")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as out:
+            out.write(text)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(target)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,185 @@
+"""Tables of the report: data frames turned into rows of text, numbers to the digits their error supports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+NOT_AVAILABLE = "not available"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its heading, and whether its cells are numbers."""
+
+    title: str
+    numeric: bool
+    css: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of text; `marked` rows are set apart."""
+
+    cells: tuple[str, ...]
+    marked: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as the page shows it; a `folded` one hides behind that summary line."""
+
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    folded: str = ""
+    kind: str = "table"
+
+
+@dataclass(frozen=True)
+class Claims:
+    """The claim table."""
+
+    caption: str
+    rows: tuple[Mapping[str, str], ...]
+    kind: str = "claims"
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+    kind: str = "text"
+
+
+@dataclass(frozen=True)
+class Code:
+    """A block of code, folded where it is long."""
+
+    text: str
+    folded: str = ""
+    kind: str = "code"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An inline SVG (already safe markup) and its caption."""
+
+    svg: Any
+    caption: str
+    kind: str = "figure"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page."""
+
+    id: str
+    title: str
+    content: list[Any] = field(default_factory=list)
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Text of a number, `not available` for a missing one; text passes through.
+
+    >>> number(0.123456), number(float("nan")), number("ex vivo"), number(250000), number(1.2e-7)
+    ('0.1235', 'not available', 'ex vivo', '250 000', '1.2e-7')
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return NOT_AVAILABLE
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if float(value).is_integer() and abs(value) < 1e15:
+        return f"{int(value):,}".replace(",", "\u202f" if abs(value) >= 10000 else "").replace("\u202f", " ")
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa}e{int(exponent)}"
+    return text
+
+
+def with_error(value: Any, error: Any) -> str:
+    """Value ± standard error, with two digits of the error and no more digits of the value than it supports.
+
+    >>> with_error(0.98765, 0.00123), with_error(0.5, 0.0), with_error(None, None), with_error(1234.5, 210.0)
+    ('0.9877 ± 0.0012', '0.5', 'not available', '1230 ± 210')
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return NOT_AVAILABLE
+    if error is None or not math.isfinite(error) or error <= 0:
+        return number(float(value))
+    places = 1 - math.floor(math.log10(error))
+    if places > 9:
+        return f"{value:.6g} ± {error:.1e}"
+    rounded = round(float(value), places)
+    return f"{rounded:.{max(places, 0)}f} ± {round(float(error), places):.{max(places, 0)}f}"
+
+
+def from_frame(
+    frame: pd.DataFrame,
+    caption: str,
+    *,
+    titles: Mapping[str, str] | None = None,
+    only: Sequence[str] | None = None,
+    marked: str = "",
+    folded: str = "",
+    short: Sequence[str] = (),
+) -> Table:
+    """Turn a frame into a table.
+
+    Parameters
+    ----------
+    titles
+        Headings for columns whose name is not one.
+    only
+        Columns to show, those that exist, in this order; all by default.
+    marked
+        Name of a truth-valued column that sets a row apart; not shown itself.
+    folded
+        Summary line behind which the table hides.
+    short
+        Columns cut to twelve characters (hashes).
+    """
+    names = [c for c in (only or list(frame.columns)) if c in frame.columns and c != marked]
+    columns = []
+    for name in names:
+        numeric = bool(pd.api.types.is_numeric_dtype(frame[name]) and not pd.api.types.is_bool_dtype(frame[name]))
+        css = "num" if numeric else ("hash" if name in short else "")
+        columns.append(Column((titles or {}).get(name, name.replace("_", " ")), numeric, css))
+    rows = []
+    for record in frame.to_dict("records"):
+        cells = tuple(number(record[n])[: 12 if n in short else None] for n in names)
+        rows.append(Row(cells, bool(marked) and str(record.get(marked)).lower() in {"true", "yes", "1"}))
+    return Table(caption, tuple(columns), tuple(rows), folded)
+
+
+def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[str, str], ...]:
+    """Rows of the claim table; a MISSING claim always says why."""
+    rows = []
+    for c in claims.to_dict("records"):
+        verdict = str(c["verdict"])
+        if verdict not in {"PASS", "FAIL", "MISSING"}:
+            verdict = "MISSING"
+        name = str(c["criterion"])
+        reason = reasons.get(name, "")
+        if verdict == "MISSING" and not reason:
+            reason = "the run gave no reason"
+        rows.append(
+            {
+                "criterion": name,
+                "value": with_error(c["value"], c["standard_error"]),
+                "reference": number(c["reference"]),
+                "tolerance": number(c["tolerance"]),
+                "verdict": verdict,
+                "seconds": number(c["seconds"], 3),
+                "reason": reason,
+            }
+        )
+    return tuple(rows)
