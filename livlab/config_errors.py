@@ -164,10 +164,7 @@ def _one(item: dict[str, Any], path: Path, data: Any, schema: dict[str, Any]) ->
     name = dotted(path) or "experiment"
     cause = ctx.get("error")
     if isinstance(cause, LivlabError):
-        tail = dotted(path[-1:])
-        return (
-            cause.message if tail and cause.message.startswith(tail) and not path[:-1] else f"{name}: {cause.message}"
-        ), cause.remedy
+        return (f"{name}: {cause.message}" if path else cause.message), cause.remedy
     if kind == "missing":
         return f"{name}: the key is missing.", "Add it."
     shown = repr(item.get("input"))
