@@ -1,0 +1,43 @@
+#!/usr/bin/env bash
+# Build the wheel, install it where no source tree is in sight, and use it.
+# The dependencies are the ones .venv has: only livlab itself is on trial, so nothing is downloaded.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+python=$PWD/.venv/bin/python
+room=$(mktemp -d)
+trap 'rm -rf "$room"' EXIT
+
+"$python" -m build --wheel --no-isolation --outdir "$room/dist" . >"$room/build.log" 2>&1 || {
+  cat "$room/build.log" >&2
+  exit 1
+}
+"$python" -m venv --without-pip "$room/venv"
+"$python" -m pip --disable-pip-version-check --python "$room/venv/bin/python" install -q --no-deps --no-index "$room"/dist/*.whl
+
+# The packages of .venv by a path entry, but not its editable livlab: an entry of a .pth is searched after the
+# environment's own site-packages, and .pth files inside an added folder are not read.
+packages=$("$python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+own=$("$room/venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+printf '%s\n' "$packages" >"$own/dependencies.pth"
+
+cd "$room"
+export PATH="$room/venv/bin:$PATH"
+python - "$own" <<'EOF'
+import sys
+from pathlib import Path
+
+import livlab
+from livlab import datasets
+
+home = Path(livlab.__file__).resolve().parent
+assert home.parent == Path(sys.argv[1]).resolve(), f"livlab was imported from {home}, not from the wheel"
+assert (home / "py.typed").is_file(), "the wheel has no py.typed"
+assert datasets.names(), "the wheel has no datasets"
+for name in datasets.names():
+    datasets.check(name)
+EOF
+livlab --help >/dev/null
+livlab doctor
+livlab data list >/dev/null
+printf 'smoke test passed: %s\n' "$(basename "$room"/dist/*.whl)"
