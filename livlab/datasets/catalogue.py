@@ -220,26 +220,43 @@ def _stamp(path: Path) -> _Stamp:
 
 
 def _load_folder(folder: Path) -> Dataset:
+    try:
+        stamps = _stamp(folder / TABLE), _stamp(folder / META)
+    except OSError:
+        return read_folder(folder)
+    with _cache_lock:
+        cached = _cache.get(folder)
+    if cached is not None and cached[:2] == stamps:
+        return cached[2]
+    dataset = read_folder(folder)
+    with _cache_lock:
+        _cache[folder] = (*stamps, dataset)
+    return dataset
+
+
+def read_folder(folder: Path) -> Dataset:
+    """Read and check the dataset in a folder, whatever is in the catalogue or in memory.
+
+    Raises
+    ------
+    DatasetError
+        If it is damaged or does not match its hash.
+    """
     table_path, meta_path = folder / TABLE, folder / META
     remedy = _remedy(folder)
+    meta = read_meta(meta_path)
+    if meta.name != folder.name:
+        raise DatasetError(
+            f"Dataset {folder.name}: its {META} says name = {meta.name!r}.", remedy="Rename the folder or the key."
+        )
     try:
-        stamps = _stamp(table_path), _stamp(meta_path)
-        with _cache_lock:
-            cached = _cache.get(folder)
-        if cached is not None and cached[:2] == stamps:
-            return cached[2]
-        if stamps[0][1] > MAX_BYTES:
+        if table_path.stat().st_size > MAX_BYTES:
             raise DatasetError(f"{table_path} is larger than {MAX_BYTES // 2**20} MiB.", remedy=remedy)
         content = table_path.read_bytes()
     except OSError as error:
         raise DatasetError(
             f"Dataset {folder.name}: {table_path} cannot be read: {error.strerror or error}.", remedy=remedy
         ) from error
-    meta = read_meta(meta_path)
-    if meta.name != folder.name:
-        raise DatasetError(
-            f"Dataset {folder.name}: its {META} says name = {meta.name!r}.", remedy="Rename the folder or the key."
-        )
     digest = hashlib.sha256(content).hexdigest()
     if digest != meta.sha256:
         raise DatasetError(
@@ -247,10 +264,7 @@ def _load_folder(folder: Path) -> Dataset:
             f"its {META} says {meta.sha256[:12]}....",
             remedy=remedy,
         )
-    dataset = Dataset(meta=meta, path=folder, columns=MappingProxyType(_parse(content, meta, table_path, remedy)))
-    with _cache_lock:
-        _cache[folder] = (*stamps, dataset)
-    return dataset
+    return Dataset(meta=meta, path=folder, columns=MappingProxyType(_parse(content, meta, table_path, remedy)))
 
 
 def _remedy(folder: Path) -> str:

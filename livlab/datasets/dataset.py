@@ -95,7 +95,9 @@ class Dataset:
         frame = self.table
         if self.is_spectrum:
             frame = frame.set_index(WAVELENGTH)
-        frame.attrs = {**self.provenance(), "units": {n: c.unit for n, c in self.meta.columns.items()}}
+        frame.attrs["units"] = {n: c.unit for n, c in self.meta.columns.items()}
+        for key, text in self.provenance().items():
+            frame.attrs[key] = text
         return frame
 
     def resolve(self, column: str) -> str:

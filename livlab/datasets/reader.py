@@ -1,0 +1,307 @@
+"""Read a user's CSV as it comes: any usual delimiter, decimal comma, BOM, heading or none; say what was understood.
+
+Numbers are never guessed: a cell that is not a plain finite number is an error that names its row and column.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import math
+import os
+import re
+import stat
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from livlab.datasets.quantity import parse_unit
+from livlab.errors import EnvironmentProblem, InputError
+
+MAX_BYTES = 8 * 1024 * 1024
+MAX_ROWS = 100_000
+MAX_COLUMNS = 64
+_MAX_HEADING = 200
+
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|n/?a|null|none|#n/a|#value!|#div/0!)", re.IGNORECASE)
+_UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]*(?:\([^()]*\))?)\s*[\])]\s*$")
+_BOMS = (
+    (codecs.BOM_UTF8, "utf-8-sig", "UTF-8 with BOM"),
+    (codecs.BOM_UTF16_LE, "utf-16", "UTF-16"),
+    (codecs.BOM_UTF16_BE, "utf-16", "UTF-16"),
+)
+_MAGIC = (
+    (b"PK\x03\x04", "a spreadsheet or ZIP archive"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel workbook"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"%PDF", "a PDF"),
+    (b"\x89PNG", "an image"),
+    (b"\xff\xd8\xff", "an image"),
+    (b"\x89HDF", "an HDF5 or NetCDF file"),
+    (b"CDF", "a NetCDF file"),
+)
+# (delimiter, decimal mark, in words); None splits at blanks.
+_DIALECTS: tuple[tuple[str | None, str, str], ...] = (
+    (",", ".", "comma-separated, decimal point"),
+    (";", ".", "semicolon-separated, decimal point"),
+    ("\t", ".", "tab-separated, decimal point"),
+    (";", ",", "semicolon-separated, decimal comma"),
+    ("\t", ",", "tab-separated, decimal comma"),
+    ("|", ".", "bar-separated, decimal point"),
+    (None, ".", "separated by blanks, decimal point"),
+    (None, ",", "separated by blanks, decimal comma"),
+    (",", ",", "comma-separated quoted cells, decimal comma"),
+)
+_TOO_MUCH_REMEDY = "Keep the columns and wavelengths that you need (every nm is plenty), and add that file."
+_AS_TEXT_REMEDY = "Export the table as a plain CSV file (comma, semicolon or tab) and add that."
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """A user's table as read.
+
+    Attributes
+    ----------
+    source
+        The file.
+    headings
+        Column headings as written, or None if the file has none.
+    units
+        Unit found in each heading's brackets, livlab's spelling, None where there is none.
+    lines
+        Line of the file that each row is on, as an editor counts.
+    rows
+        The numbers, one tuple a row.
+    understood
+        What was understood of the file's form, in sentences.
+    """
+
+    source: Path
+    headings: tuple[str, ...] | None
+    units: tuple[str | None, ...]
+    lines: tuple[int, ...]
+    rows: tuple[tuple[float, ...], ...]
+    understood: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return len(self.rows[0])
+
+
+_Line = tuple[int, list[str]]
+
+
+def read_csv(path: Path) -> RawTable:
+    """Read a numeric table from a text file of any usual form.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, not a plain text table, too large, empty, or has a cell that is not a finite number.
+    EnvironmentProblem
+        If it cannot be read.
+    """
+    text, notes = _text(path)
+    words, lines, decimal = _split(path, text)
+    notes.append(words)
+    headings, units, body = _heading(path, lines, decimal)
+    notes.append(
+        f"no heading, {len(body[0][1])} columns"
+        if headings is None
+        else f"heading in line {lines[0][0]}: {', '.join(headings)}"
+    )
+    width = len(headings or body[0][1])
+    body_lines, body_rows = [], []
+    for number, cells in body:
+        if len(cells) != width:
+            raise _bad(
+                path, number, f"has {len(cells)} cells, {'the heading' if headings else 'the first row'} {width}"
+            )
+        body_lines.append(number)
+        body_rows.append(
+            tuple(
+                _number(path, number, headings[i] if headings else f"{i + 1}", cell, decimal)
+                for i, cell in enumerate(cells)
+            )
+        )
+    notes.append(f"{len(body_rows)} rows of {width} numbers")
+    return RawTable(path, headings, units, tuple(body_lines), tuple(body_rows), tuple(notes))
+
+
+def suggested_name(path: Path) -> str:
+    """Suggest a dataset name after the file's.
+
+    >>> suggested_name(Path("Meu Fígado (2026).csv"))
+    'meu_f_gado_2026'
+    """
+    return re.sub(r"[^a-z0-9]+", "_", path.stem.lower()).strip("_")[:64].strip("_") or "my_dataset"
+
+
+def _text(path: Path) -> tuple[str, list[str]]:
+    content = _bytes(path)
+    if not content.strip():
+        raise InputError.of("file", str(path), "is empty", "Give a CSV with wavelengths and values.")
+    for magic, what in _MAGIC:
+        if content.startswith(magic):
+            raise InputError.of("file", str(path), f"is {what}, not a text table", _AS_TEXT_REMEDY)
+    try:
+        for bom, encoding, words in _BOMS:
+            if content.startswith(bom):
+                return _printable(path, content.decode(encoding)), [words]
+        return _printable(path, content.decode("utf-8")), []
+    except UnicodeDecodeError:
+        try:
+            return _printable(path, content.decode("cp1252")), ["not UTF-8: read as Windows-1252"]
+        except UnicodeDecodeError as error:
+            raise InputError.of("file", str(path), "is not a text file", _AS_TEXT_REMEDY) from error
+
+
+def _bytes(path: Path) -> bytes:
+    if "\0" in str(path):
+        raise InputError.of("file", str(path), "is not a file name", "Give the path of a CSV file.")
+    try:
+        # Non-blocking: a named pipe without a writer must not hang before it is refused.
+        with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as stream:
+            status = os.fstat(stream.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise InputError.of("file", str(path), "is not a regular file", "Give the path of a CSV file.")
+            content = b"" if status.st_size > MAX_BYTES else stream.read(MAX_BYTES + 1)
+            size = max(status.st_size, len(content))
+            if size > MAX_BYTES:
+                raise InputError.of(
+                    "file",
+                    str(path),
+                    f"has {size / 2**20:.1f} MiB, more than the {MAX_BYTES // 2**20} MiB that a spectrum may have",
+                    _TOO_MUCH_REMEDY,
+                )
+            return content
+    except FileNotFoundError as error:
+        raise InputError.of("file", str(path), "does not exist", "Check the path.") from error
+    except (IsADirectoryError, NotADirectoryError) as error:
+        raise InputError.of("file", str(path), "is not a file", "Give the path of a CSV file.") from error
+    except OSError as error:
+        raise EnvironmentProblem(
+            f"{path} cannot be read: {error.strerror or error}.", remedy="Check the path and its permissions."
+        ) from error
+
+
+def _printable(path: Path, text: str) -> str:
+    bad = sum(1 for c in text if ord(c) < 32 and c not in "\t\n\r\f\v")
+    if bad:
+        raise InputError.of("file", str(path), f"has {bad} control characters: not a text table", _AS_TEXT_REMEDY)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _split(path: Path, text: str) -> tuple[str, list[_Line], str]:
+    kept = [
+        (i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip() and line.lstrip()[0] not in "#%"
+    ]
+    if not kept:
+        raise InputError.of("file", str(path), "has no table, only comments", "Give a CSV with wavelengths and values.")
+    if len(kept) > MAX_ROWS:
+        raise InputError.of(
+            "file",
+            str(path),
+            f"has {len(kept)} rows, more than the {MAX_ROWS} that a spectrum may have",
+            _TOO_MUCH_REMEDY,
+        )
+    # The dialect is judged on a sample, so that a long file costs one pass, not eight.
+    sample = [*kept[:200], *kept[-50:]]
+    best, best_score = None, (0.0, 0)
+    for dialect in _DIALECTS:
+        split = _cells(sample, dialect[0])
+        widths = Counter(len(cells) for _, cells in split)
+        width, _ = max(widths.items(), key=lambda item: (item[1], item[0]))
+        if width < 2:
+            continue
+        numeric = sum(1 for _, cells in split for cell in cells if _value(cell, dialect[1]) is not None)
+        fit = numeric / sum(len(cells) for _, cells in split)
+        if fit > best_score[0]:
+            best, best_score = dialect, (fit, width)
+    if best is None:
+        raise InputError.of(
+            "file",
+            str(path),
+            "has no two columns of numbers",
+            "Separate the columns by comma, semicolon or tab: wavelength first, then the values.",
+        )
+    lines = _cells(kept, best[0])
+    while all(len(cells) > 2 and not cells[-1] for _, cells in lines):
+        lines = [(number, cells[:-1]) for number, cells in lines]
+    if max(len(cells) for _, cells in lines) > MAX_COLUMNS:
+        raise InputError.of(
+            "file",
+            str(path),
+            f"has more than {MAX_COLUMNS} columns",
+            "Keep the columns that you need, and add that file.",
+        )
+    return best[2], lines, best[1]
+
+
+def _cells(lines: list[tuple[int, str]], delimiter: str | None) -> list[_Line]:
+    if delimiter is None:
+        return [(number, line.split()) for number, line in lines]
+    split = []
+    for number, line in lines:
+        try:
+            (cells,) = csv.reader(io.StringIO(line), delimiter=delimiter)
+        except (csv.Error, ValueError):
+            cells = line.split(delimiter)
+        split.append((number, [cell.strip() for cell in cells]))
+    return split
+
+
+def _value(cell: str, decimal: str) -> float | None:
+    if decimal == ",":
+        if "." in cell:
+            return None
+        cell = cell.replace(",", ".", 1)
+    cell = cell.replace("\u2212", "-", 1)
+    return float(cell) if _NUMBER.fullmatch(cell) else None
+
+
+def _heading(
+    path: Path, lines: list[_Line], decimal: str
+) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], list[_Line]]:
+    first = lines[0][1]
+    if _value(first[0], decimal) is not None or _NOT_FINITE.fullmatch(first[0]):
+        return None, (None,) * len(first), lines
+    if len(lines) == 1:
+        raise InputError.of("file", str(path), "has a heading and no rows", "Give at least two rows of numbers.")
+    headings, units = [], []
+    for cell in first:
+        if len(cell) > _MAX_HEADING:
+            raise InputError.of(
+                f"{path.name}: line {lines[0][0]}",
+                cell,
+                f"is longer than {_MAX_HEADING} characters",
+                "Shorten the heading.",
+            )
+        match = _UNIT_IN_NAME.match(cell)
+        unit = parse_unit(match.group(2)) if match and match.group(2) else None
+        headings.append(cell)
+        units.append(unit)
+    return tuple(headings), tuple(units), lines[1:]
+
+
+def _number(path: Path, line: int, column: str, cell: str, decimal: str) -> float:
+    value = _value(cell, decimal)
+    where = f"{path.name}: line {line}, column {column}"
+    if value is not None and math.isfinite(value):
+        return value
+    if not cell:
+        raise InputError.of(where, cell, "is empty", "Fill the cell in or remove the row.")
+    if value is not None or _NOT_FINITE.fullmatch(cell):
+        raise InputError.of(where, cell, "is not a finite number", "Correct the cell or remove the row.")
+    if len(re.findall(r"[.,']", cell)) > 1 or (decimal == "," and "." in cell):
+        raise InputError.of(where, cell, "mixes decimal and thousands marks", "Write plain numbers such as 1234.5.")
+    raise InputError.of(where, cell, "is not a number", "Correct the cell or remove the row; comments start with #.")
+
+
+def _bad(path: Path, line: int, why: str) -> InputError:
+    return InputError(
+        f"{path.name}: line {line} {why}.", remedy="Give every row the same number of cells, one heading line at most."
+    )
