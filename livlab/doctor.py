@@ -160,7 +160,8 @@ def _describe(found: Libllvm, is_chosen: bool) -> Finding:
 
 
 def _llvm_remedy(candidates: Sequence[Libllvm]) -> str:
-    if any(found.verdict == "unknown" for found in candidates):
+    unknown = next((found for found in candidates if found.verdict == "unknown"), None)
+    if unknown is not None and "shared object" not in unknown.reason:
         return _SET_UP
     if candidates and candidates[0].origin == VARIABLE and any(found.verdict == "good" for found in candidates):
         return f"Unset {VARIABLE}."
@@ -262,9 +263,9 @@ def cache_findings() -> list[Finding]:
         return [
             Finding("kernel cache", "warning", "HOME is not set", "Set HOME or DRJIT_CACHE_DIR to a writable folder.")
         ]
-    folder = Path(named) if named else Path(str(home)) / ".drjit"
-    nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    if nearest.is_dir() and os.access(nearest, os.W_OK):
+    folder = (Path(named) if named else Path(str(home)) / ".drjit").absolute()
+    nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
+    if nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK):
         return [Finding("kernel cache", "ok", str(folder))]
     return [
         Finding("kernel cache", "warning", f"{folder} cannot be written", "Set DRJIT_CACHE_DIR to a writable folder.")

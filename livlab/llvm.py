@@ -128,10 +128,10 @@ def install_command() -> str:
     if platform.system() == "Darwin":
         return "brew install llvm"
     likes = _distribution()
-    if likes & {"debian", "ubuntu"}:
-        return "sudo apt-get install -y libllvm19"
+    if likes & {"debian", "ubuntu"}:  # Dr.Jit itself needs libatomic, which a minimal system lacks
+        return "sudo apt-get install -y libatomic1 libllvm19"
     if likes & {"fedora", "rhel"}:
-        return "sudo dnf install -y llvm-libs"
+        return "sudo dnf install -y libatomic llvm-libs"
     if "arch" in likes:
         return "sudo pacman -S --needed llvm-libs"
     return f"install the shared library of LLVM {OLDEST_MAJOR} or newer and set {VARIABLE} to it"
@@ -152,7 +152,7 @@ def _first_good() -> Path:
         if candidate.verdict == "good":
             return candidate.path
         if candidate.verdict == "unknown":
-            raise EnvironmentProblem(f"Dr.Jit cannot be used: {candidate.reason}.", remedy="Run `make setup`.")
+            raise _unusable(candidate)
         refused.append(f"{candidate.path} ({candidate.reason})")
     message = f"No usable libLLVM found (need {OLDEST_MAJOR} or newer)"
     message += f"; refused: {'; '.join(refused)}." if refused else "."
@@ -163,10 +163,16 @@ def _demand_good(candidate: Libllvm) -> Path:
     if candidate.verdict == "good":
         return candidate.path
     if candidate.verdict == "unknown":
-        raise EnvironmentProblem(f"Dr.Jit cannot be used: {candidate.reason}.", remedy="Run `make setup`.")
+        raise _unusable(candidate)
     other = next((found for found in (_judge(*place) for place in _search()) if found.verdict == "good"), None)
     remedy = f"Unset {VARIABLE}; livlab then takes {other.path}." if other else f"Run `{install_command()}`."
     raise EnvironmentProblem(f"{VARIABLE} names {candidate.path}: {candidate.reason}.", remedy=remedy)
+
+
+def _unusable(candidate: Libllvm) -> EnvironmentProblem:
+    """Dr.Jit itself is at fault: the library was never tried."""
+    command = install_command() if "shared object" in candidate.reason else "make setup"
+    return EnvironmentProblem(f"Dr.Jit cannot be used: {candidate.reason}.", remedy=f"Run `{command}`.")
 
 
 def _adopt_loaded() -> Path:
@@ -204,7 +210,7 @@ def _search() -> list[tuple[Path, str]]:
     found: dict[Path, str] = {}
     for path, origin in _places():
         resolved = _resolve(path)
-        if resolved.is_file():
+        if os.path.isfile(resolved):  # noqa: PTH113 - Path.is_file raises where a folder may not be read
             found.setdefault(resolved, origin)
     return sorted(found.items(), key=lambda item: _rank(item[0]))
 
@@ -259,8 +265,8 @@ def major_from_path(path: Path) -> int | None:
 
 def _judge(path: Path, origin: str) -> Libllvm:
     resolved = _resolve(path)
-    if not resolved.is_file():
-        return Libllvm(resolved, origin, None, "refused", "there is no such file")
+    if not os.path.isfile(resolved):  # noqa: PTH113
+        return Libllvm(resolved, origin, None, "refused", "there is no such file, or it may not be read")
     major = major_from_path(resolved)
     if major is not None and major < OLDEST_MAJOR:
         return Libllvm(resolved, origin, major, "refused", _too_old(major))

@@ -33,6 +33,8 @@ try:
     import drjit as dr
     from drjit.llvm import Float, UInt32
 except Exception as error:
+    while error.__cause__ or error.__context__:  # the first of a chain names the library that is missing
+        error = error.__cause__ or error.__context__
     print(f"{type(error).__name__}: {error}", file=sys.stderr)
     sys.exit(90)
 n = 37

@@ -37,7 +37,11 @@ apt_get() { # as root, quietly, and without hanging on a dead network
     -o Acquire::Retries=1 -o Acquire::http::Timeout=15 -o Acquire::https::Timeout=15 -o DPkg::Lock::Timeout=60 "$@"
 }
 
-apt_offers() { apt-cache policy "$1" 2>/dev/null | grep -q 'Candidate: [^(]'; }
+apt_offers() {
+  local policy
+  policy=$(apt-cache policy "$1" 2>/dev/null) || return 1
+  [[ $policy == *"Candidate: "* && $policy != *"Candidate: (none)"* ]]
+}
 
 apt_first_offered() { # the first of the given packages that apt can install
   local package
@@ -107,8 +111,8 @@ require_space() {
 
 require_index() { # one small package, few tries: a dead network should say so in seconds, not after pip's long patience
   "$VENV/bin/python" -m pip --retries 1 --timeout 10 install -q --dry-run --no-deps --ignore-installed --no-input \
-    --disable-pip-version-check -c constraints.txt iniconfig >"$VENV/index.log" 2>&1 || {
-    sed -n 's/^ERROR: /setup: pip: /p' "$VENV/index.log" >&2
+    --disable-pip-version-check iniconfig >"$VENV/index.log" 2>&1 || {
+    sed -n 's/^\(ERROR\|WARNING\): /setup: pip: /p' "$VENV/index.log" | cut -c 1-240 | tail -n 2 >&2
     fail "pip reaches no package index." "check the network, HTTPS_PROXY, and pip's settings (pip config list)"
   }
 }
@@ -131,20 +135,25 @@ install_packages() {
 # --- libLLVM ------------------------------------------------------------------------------------------------------
 
 llvm_trouble() { # prints nothing and succeeds when Dr.Jit has a library it can use
-  $VENV/bin/python -c '
+  local status=0
+  "$VENV/bin/python" -c '
 import sys
 from livlab.errors import LivlabError
 from livlab.llvm import choose_libllvm
 try:
     choose_libllvm()
 except LivlabError as error:
-    sys.exit(f"{error.message}\n{error.remedy}")
-' 2>&1
+    print(error.message, error.remedy, sep="\n")
+    sys.exit(3)
+' 2>&1 || status=$?
+  return $status
 }
 
-require_llvm() {
-  local trouble package command
-  trouble=$(llvm_trouble) && return
+require_llvm() { # Dr.Jit itself needs libatomic, which a minimal Debian or Ubuntu lacks
+  local trouble package command status=0
+  trouble=$(llvm_trouble) || status=$?
+  [ $status -ne 0 ] || return 0
+  [ $status -eq 3 ] || fail "$VENV does not work: ${trouble##*$'\n'}" "rm -rf $VENV and call make setup again"
   if [ -n "${DRJIT_LIBLLVM_PATH:-}" ]; then # the user's own choice is not ours to mend
     without_llvm "$trouble"
     return
@@ -155,10 +164,11 @@ require_llvm() {
       apt_get update || true
       package=$(apt_first_offered $LIBLLVM_PACKAGES) || package=""
     fi
-    command="sudo apt-get install -y ${package:-libllvm19}"
-    if [ -n "$package" ] && may_apt "$package"; then
-      say "installing $package"
-      apt_get install "$package" || { apt_get update && apt_get install "$package"; } || say "apt could not install $package"
+    command="sudo apt-get install -y libatomic1 ${package:-libllvm19}"
+    if [ -n "$package" ] && may_apt "libatomic1 $package"; then
+      say "installing libatomic1 $package"
+      apt_get install libatomic1 "$package" || { apt_get update && apt_get install libatomic1 "$package"; } ||
+        say "apt could not install $package"
     fi
   elif [ "$(uname -s)" = Darwin ]; then
     command="brew install llvm"
@@ -174,7 +184,7 @@ require_llvm() {
 
 without_llvm() {
   if [ "${LIVLAB_NO_LLVM:-0}" = 1 ]; then
-    say "going on without a usable libLLVM: $1"
+    say "going on without a usable libLLVM: ${1%%$'\n'*}"
   else
     fail "${1%%$'\n'*}" "${2:-${1##*$'\n'}}"
   fi
@@ -187,7 +197,8 @@ offer_browser() { # Ubuntu's package of this name is only a pointer to a snap
   if have apt-get && is_root && grep -qs '^ID=debian' /etc/os-release; then
     say "installing chromium for the browser tests"
     apt_offers chromium || apt_get update || true
-    apt_get install --no-install-recommends chromium >/dev/null || say "no chromium: the browser tests will be skipped"
+    apt_get install --no-install-recommends chromium fonts-dejavu-core >/dev/null 2>&1 ||
+       say "no chromium: the browser tests will be skipped"
   else
     say "no chromium found: the browser tests will be skipped"
   fi
