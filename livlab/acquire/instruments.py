@@ -133,9 +133,7 @@ class WalkSolver(_Part):
     pilot: int = Field(65536, ge=1000, le=10**8, description="Samples that first gauge each wavelength's noise.")
     largest_launch: int = Field(4_000_000, ge=1000, le=10**9, description="Samples in one launch, all wavelengths.")
     max_samples: int = Field(10**9, ge=1000, le=10**11, description="Samples after which a wavelength is given up.")
-    max_seconds: float | None = Field(
-        None, gt=0.0, description="Seconds after which the measurement stops, unfinished."
-    )
+    max_seconds: float | None = Field(None, gt=0.0, description="Seconds after which it stops, unfinished.")
     seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
 
     @model_validator(mode="before")
