@@ -171,15 +171,11 @@ def add(
     into: Annotated[Path | None, typer.Option(help="Folder of datasets to add to; yours if absent.")] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: options and defaults only.")] = False,
 ) -> None:
-    """Add your own table to the catalogue: read it, say what was understood, ask what is missing, write it whole.
-
-    \b
-    livlab data add my.csv --name my_liver --source "own measurement, 2026" --kind tabulated --unit 1 --yes
-    """
+    """Add your own table to the catalogue: read it, say what was understood, ask what is missing, write it whole."""
     from livlab.datasets.add import add as write
-    from livlab.datasets.add import existing_meta
+    from livlab.datasets.add import existing_meta, free_name
     from livlab.datasets.draft import read_draft
-    from livlab.datasets.meta import KINDS, check_name
+    from livlab.datasets.meta import KINDS
     from livlab.datasets.reader import suggested_name
 
     draft = read_draft(
@@ -193,7 +189,9 @@ def add(
     for sentence in draft.understood:
         typer.echo(f"understood: {sentence}")
     try:
-        name = _ask("name", name, suggested_name(file), yes, check_name)
+        name = _ask(
+            "name", name, suggested_name(file), yes, lambda text: free_name(text, into, replace_existing=replace)
+        )
         before = existing_meta(name, into) if replace else None
         known = _known(name, before)
         draft = _ask_units(draft, before, yes)

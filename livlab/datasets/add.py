@@ -32,7 +32,6 @@ def add(
     uncertainty: str = "not stated",
     relative_uncertainty: float | None = None,
     notes: str = "",
-    descriptions: dict[str, str] | None = None,
     into: Path | None = None,
     replace_existing: bool = False,
 ) -> Path:
@@ -53,7 +52,7 @@ def add(
         If the folder cannot be written (permission, read-only, no space, no home).
     """
     root = _target_root(into)
-    target = root / _free_name(name, root, replace_existing=replace_existing)
+    target = root / free_name(name, into, replace_existing=replace_existing)
     content = _csv(draft)
     wavelengths = draft.columns.get(WAVELENGTH)
     unit_missing = [column for column, unit in draft.units.items() if unit is None]
@@ -77,8 +76,7 @@ def add(
         "sha256": hashlib.sha256(content).hexdigest(),
         "uncertainty": {"text": uncertainty, "relative": relative_uncertainty},
         "columns": {
-            column: {"unit": unit, "description": (descriptions or {}).get(column) or column.replace("_", " ")}
-            for column, unit in draft.units.items()
+            column: {"unit": unit, "description": _description(draft, column)} for column, unit in draft.units.items()
         },
     }
     try:
@@ -93,6 +91,12 @@ def add(
     except OSError as error:
         raise _cannot_write(root, error) from error
     return target
+
+
+def _description(draft: Draft, column: str) -> str:
+    if column == WAVELENGTH:
+        return "wavelength"
+    return draft.headings.get(column, "").strip() or column.replace("_", " ")
 
 
 def existing_meta(name: str, into: Path | None = None) -> DatasetMeta | None:
@@ -125,10 +129,18 @@ def _target_root(into: Path | None) -> Path:
     return root
 
 
-def _free_name(name: str, root: Path, *, replace_existing: bool) -> str:
+def free_name(name: str, into: Path | None = None, *, replace_existing: bool = False) -> str:
+    """Return `name` if a dataset may be added under it.
+
+    Raises
+    ------
+    InputError
+        If it is not valid, is one of livlab's own, or is taken and not to be replaced.
+    """
     check_name(name)
     if catalogue.is_builtin(name):
         raise InputError.of("name", name, "is one of livlab's own datasets", "Choose another name.")
+    root = _target_root(into)
     if os.path.lexists(root / name) and not replace_existing:
         raise InputError.of("name", name, f"is taken in {root}", "Choose another name, or add --replace.")
     return name

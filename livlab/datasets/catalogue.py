@@ -7,6 +7,7 @@ import difflib
 import hashlib
 import io
 import os
+import re
 import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,13 +17,21 @@ from types import MappingProxyType
 import numpy as np
 
 from livlab.datasets.dataset import Dataset
-from livlab.datasets.meta import WAVELENGTH, DatasetMeta, Unavailable, check_name, read_meta, read_unavailable
+from livlab.datasets.meta import (
+    NAME_PATTERN,
+    WAVELENGTH,
+    DatasetMeta,
+    Unavailable,
+    check_name,
+    read_meta,
+    read_unavailable,
+)
 from livlab.errors import DatasetError, EnvironmentProblem, InputError
 from livlab.units import FloatArray
 
 TABLE = "table.csv"
 META = "meta.toml"
-MAX_BYTES = 16 * 1024 * 1024
+MAX_BYTES = 64 * 1024 * 1024
 
 _Stamp = tuple[int, int, int]
 _cache: dict[Path, tuple[_Stamp, _Stamp, Dataset]] = {}
@@ -181,7 +190,8 @@ def numeric_problem(header: Sequence[str], columns: dict[str, FloatArray]) -> st
 
 def _folders(root: Path) -> list[Path]:
     try:
-        return [p for p in root.iterdir() if not p.name.startswith(".") and (p / META).is_file()]
+        # A folder whose name cannot be a dataset's is no part of the catalogue (.adding-*, notes, ...).
+        return [p for p in root.iterdir() if re.fullmatch(NAME_PATTERN, p.name) and (p / META).is_file()]
     except OSError:  # absent, unreadable or not a folder: it holds nothing for us
         return []
 

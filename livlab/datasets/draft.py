@@ -20,8 +20,8 @@ SHORTEST_NM, LONGEST_NM = 100.0, 30_000.0
 # No wavelength of light that livlab deals in is this short, so such numbers are micrometres.
 _SURELY_UM = 31.0
 _WAVELENGTH_HEADING = re.compile(r"(wave_?length|lambda|wl|wellenl|longueur_d|nm$|um$|comprimento_de_onda)")
-_NOT_NEGATIVE = re.compile(r"(absorption|scattering|extinction|reflect|transmi|attenuation|absorban|_sd$|_share)")
-_RATIO = re.compile(r"(reflectance|transmittance|fraction|albedo)")
+_NOT_NEGATIVE = re.compile(r"(absorption|scattering|extinction|refle[ck]t|transmi|attenuation|absorban|_sd$|_share)")
+_RATIO = re.compile(r"(refle[ck]tan|transmittan|fraction|albedo)")
 _NM_PER = {"nm": 1.0, "um": 1e3}
 
 
@@ -35,6 +35,8 @@ class Draft:
         Column name to values, the wavelength (nm, rising) first where there is one.
     units
         Column name to unit; None where neither the file nor an option gave one.
+    headings
+        Column name to the file's own heading, where it had one.
     understood
         How the file was read, in sentences, to be shown before anything is written.
     """
@@ -42,6 +44,7 @@ class Draft:
     source_file: Path
     columns: dict[str, FloatArray]
     units: dict[str, str | None]
+    headings: dict[str, str]
     understood: tuple[str, ...]
 
     @property
@@ -104,7 +107,8 @@ def read_draft(
     table: dict[str, FloatArray] = {}
     if axis is not None:
         factor = _NM_PER[_wavelength_unit(raw, axis, wavelength_unit, notes)]
-        nm = values[:, axis] * factor
+        # Rounded: 0.5005 um is 500.5 nm, not 500.49999999999994.
+        nm = np.round(values[:, axis] * factor, 9)
         rising = _check_wavelengths(path, values[:, axis], nm, lines, sort=sort, converted=factor != 1.0)
         if not np.array_equal(rising, np.arange(len(nm))):
             notes.append("rows sorted by wavelength")
@@ -114,7 +118,8 @@ def read_draft(
     for name, index in zip(names, order, strict=True):
         _check_values(path, name, units[name], values[:, index], lines)
         table[name] = np.ascontiguousarray(values[:, index])
-    return Draft(path, table, units, tuple(notes))
+    headings = {n: raw.headings[i] for n, i in zip(names, order, strict=True)} if raw.headings else {}
+    return Draft(path, table, units, headings, tuple(notes))
 
 
 def _axis(raw: RawTable, notes: list[str]) -> int:

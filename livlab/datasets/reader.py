@@ -147,16 +147,15 @@ def _text(path: Path) -> tuple[str, list[str]]:
     for magic, what in _MAGIC:
         if content.startswith(magic):
             raise InputError.of("file", str(path), f"is {what}, not a text table", _AS_TEXT_REMEDY)
-    try:
-        for bom, encoding, words in _BOMS:
-            if content.startswith(bom):
-                return _printable(path, content.decode(encoding)), [words]
-        return _printable(path, content.decode("utf-8")), []
-    except UnicodeDecodeError:
+    found = next((entry for entry in _BOMS if content.startswith(entry[0])), None)
+    # Without a mark: UTF-8, or what old spreadsheets write in the west.
+    choices = [found[1:]] if found else [("utf-8", ""), ("cp1252", "not UTF-8: read as Windows-1252")]
+    for encoding, words in choices:
         try:
-            return _printable(path, content.decode("cp1252")), ["not UTF-8: read as Windows-1252"]
-        except UnicodeDecodeError as error:
-            raise InputError.of("file", str(path), "is not a text file", _AS_TEXT_REMEDY) from error
+            return _printable(path, content.decode(encoding)), [words] if words else []
+        except UnicodeDecodeError:
+            continue
+    raise InputError.of("file", str(path), "is not a text file", _AS_TEXT_REMEDY)
 
 
 def _bytes(path: Path) -> bytes:
