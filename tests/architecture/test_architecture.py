@@ -1,0 +1,50 @@
+from pathlib import Path
+
+import architecture_rules as rules
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_imports_run_downwards_and_engines_have_one_door():
+    assert len(rules.modules(ROOT)) > 10
+    assert rules.import_violations(ROOT) == []
+
+
+def test_no_data_is_run_as_code():
+    assert rules.code_from_data_violations(ROOT) == []
+
+
+def test_no_module_is_too_long():
+    assert rules.long_modules(ROOT) == []
+
+
+@pytest.mark.parametrize("statement", ["import livlab", "import livlab.cli"])
+def test_importing_is_light(statement):
+    assert rules.heavy_imports(statement) == []
+
+
+def test_files_name_no_machine_and_no_registry():
+    files = rules.repository_files(ROOT)
+    assert ROOT / "pyproject.toml" in files
+    assert rules.address_violations(ROOT, files) == []
+
+
+def test_every_test_can_fail():
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    assert Path(__file__).resolve() in files
+    assert rules.assertless_tests(files) == []
+
+
+def test_constraints_pin_exactly_and_cover_what_is_required():
+    import re
+    import tomllib
+
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    entries = [line for line in lines if line.strip() and not line.startswith("#")]
+    assert [line for line in entries if not re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", line)] == []
+    pinned = {re.sub(r"[._-]+", "-", line.partition("==")[0]).lower() for line in entries}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    names = {re.sub(r"[._-]+", "-", re.split(r"[\s<>=!~;\[]", entry, maxsplit=1)[0]).lower() for entry in wanted}
+    assert names - pinned == set()
