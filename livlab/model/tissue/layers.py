@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
@@ -13,8 +14,10 @@ from livlab.errors import InputError
 from livlab.model.tissue.elements import Element, Share
 from livlab.model.tissue.spectra import Index, Spec, names_of
 
-Name = Annotated[str, StringConstraints(pattern=r"^[^\s.*\[\]](?:[^.*\[\]]{0,62}[^\s.*\[\]])?$")]
+NAME = r"^[^\s.*\[\]](?:[^.*\[\]]{0,62}[^\s.*\[\]])?$"
 """A name that a path can hold: no dot, star or bracket, no blank at its ends."""
+
+Name = Annotated[str, StringConstraints(pattern=NAME)]
 
 
 class Slice(Spec):
@@ -40,7 +43,7 @@ class Layer(Spec):
     name: Name = Field(description="Name, as paths and reports use it.")
     thickness_mm: float = Field(gt=0.0, allow_inf_nan=True, description="Thickness in mm; inf for the last layer only.")
     index: Index = Field(description="Refractive index, also of the medium around fibres.")
-    elements: dict[Name, Element] = Field({}, description="Elements by name.")
+    elements: dict[str, Element] = Field({}, description="Elements by name.")
     profile: tuple[Slice, ...] = Field((), strict=False, description="Sublayers from the surface down, if it has any.")
     sources: dict[str, str] = Field({}, description="Where each number came from, by its key.")
 
@@ -49,6 +52,11 @@ class Layer(Spec):
         ends = [x.to for x in self.profile]
         if self.profile and (sorted(set(ends)) != ends or abs(ends[-1] - 1.0) > 1e-9):
             raise InputError.of("profile", ends, "ends must rise to 1", "Order the sublayers from the surface down.")
+        for name in self.elements:
+            if not re.fullmatch(NAME, name):
+                raise InputError.of(
+                    "elements", name, "a name holds no dot, star or bracket, and no blank at its ends", "Rename it."
+                )
         for part in self.profile:
             for name in part.fractions:
                 if name in self.elements and not self.elements[name].budget:

@@ -152,7 +152,7 @@ BASES: dict[str, dict[str, Any]] = {
 """The options of each named reading."""
 
 
-def reading(name: str, **overrides: Any) -> Reading:
+def reading(name: str, /, **overrides: Any) -> Reading:
     """A named reading, with single options changed.
 
     Parameters

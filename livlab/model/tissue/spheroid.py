@@ -83,7 +83,8 @@ def penalised_rate(sigma_per_mm: FloatArray) -> FloatArray:
     """Rate in 1/mm of the hepatocyte's penalised draw d' = −log10(σ_t + 1) ln ξ (Nunes 2019, eq. 6.19).
 
     The draw is exponential with rate 1/log10(σ_t + 1), σ_t and the rate in 1/cm. It falls as σ_t grows: more cells
-    scatter less. σ_t = 0 never interacts, so its rate is 0 and not the formula's infinity.
+    scatter less. σ_t = 0 never interacts, so its rate is 0 and not the formula's infinity (nor is anything below
+    1e-300 1/cm, whose rate no float holds).
 
     Parameters
     ----------
@@ -104,6 +105,6 @@ def penalised_rate(sigma_per_mm: FloatArray) -> FloatArray:
     bad = ~(np.isfinite(sigma) & (sigma >= 0))
     if bad.any():
         raise InputError.of("sigma_t", float(sigma[bad].flat[0]), "must be finite and ≥ 0", "Mend the attenuation.")
-    met = sigma > 0
+    met = sigma > 1e-300
     length_cm = np.log1p(np.where(met, sigma, 1.0)) / math.log(10.0)
     return per_cm_to_per_mm(np.where(met, 1.0 / length_cm, 0.0))
