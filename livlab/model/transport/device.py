@@ -1,0 +1,85 @@
+"""The door to Dr.Jit: which array types a variant uses, imported only when a walk is asked for."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from livlab.errors import EnvironmentProblem, InputError
+from livlab.llvm import choose_libllvm
+
+Variant = Literal["llvm", "cuda"]
+
+LANES: dict[Variant, int] = {"llvm": 1 << 14, "cuda": 1 << 19}
+"""Walkers in flight: enough for every core (thread block) and few enough to stay in cache."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """Array types of one Dr.Jit backend; `dr` is the module itself.
+
+    Typed as Any: Dr.Jit's overloads do not survive strict checking of traced code.
+    """
+
+    variant: Variant
+    dr: Any
+    Float: Any
+    Float64: Any
+    UInt32: Any
+    UInt64: Any
+    Int64: Any
+    Bool: Any
+    Array4f: Any
+    PCG32: Any
+
+    def load(self, kind: Any, values: Any) -> Any:
+        """An array of Dr.Jit's own from numbers.
+
+        Dr.Jit maps numpy's memory in place, and where that happens to lie decides the alignment written into
+        the kernel, so that the next call would compile anew. Its own memory is always aligned.
+        """
+        return kind(np.asarray(values).ravel().tolist())
+
+
+def device(variant: Variant) -> Device:
+    """Load Dr.Jit for a variant.
+
+    Raises
+    ------
+    InputError
+        If the variant is unknown.
+    EnvironmentProblem
+        If "llvm" finds no usable libLLVM or "cuda" no GPU.
+    """
+    if variant not in LANES:
+        raise InputError.of("variant", variant, "must be 'llvm' or 'cuda'", "Name one of the two.")
+    if variant == "llvm":
+        choose_libllvm()
+        import drjit as dr
+        import drjit.llvm as llvm_types
+
+        backend: Any = llvm_types
+    else:
+        with suppress(EnvironmentProblem):  # a machine with a GPU may do without
+            choose_libllvm()
+        import drjit as dr
+        import drjit.cuda as cuda_types
+
+        backend = cuda_types
+        if not dr.has_backend(dr.JitBackend.CUDA):
+            raise EnvironmentProblem("variant 'cuda' finds no GPU or no driver.", remedy="Use variant 'llvm'.")
+    return Device(
+        variant,
+        dr,
+        backend.Float,
+        backend.Float64,
+        backend.UInt32,
+        backend.UInt64,
+        backend.Int64,
+        backend.Bool,
+        backend.Array4f,
+        backend.PCG32,
+    )

@@ -1,0 +1,250 @@
+"""What is recorded while photons walk: each observer adds its own state to the loop of the kernel.
+
+The kernel knows nothing of tallies. It tells every observer of each step (how far, in which layer, met or
+not, what was absorbed) and of each photon's end; a further recorder (path lengths and scatterings a layer,
+say) is one more class here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from livlab.model.transport.device import Device
+from livlab.model.transport.tally import FIXED_POINT, Moments, Tally
+from livlab.units import FloatArray
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of every lane: Bool and Float arrays.
+
+    Attributes
+    ----------
+    inside
+        For each layer, whether the step lies in it.
+    path
+        Length in mm.
+    met
+        Whether it ended in a meeting with an element (else at an interface or a side).
+    absorbed, redirect_loss
+        Weight that the meeting took, by absorption and by the factor of Algorithm 2; 0 without meeting.
+    """
+
+    inside: tuple[Any, ...]
+    path: Any
+    met: Any
+    absorbed: Any
+    redirect_loss: Any
+
+
+@dataclass(frozen=True)
+class End:
+    """The lanes whose photon ends with this step.
+
+    Attributes
+    ----------
+    done
+        Any of the following, or absorbed.
+    up, down, side
+        Left through the top, the bottom, a side of the sample.
+    stopped
+        Given up: too many steps, or a weight too small to count.
+    unfinished
+        The first of these.
+    weight
+        What it leaves with.
+    entered
+        What it entered with, 1 less the specular reflection.
+    cosine
+        Of the exit direction outside with the normal.
+    radius
+        Of the exit point in mm, None where positions are not followed.
+    wavelength
+        Index of the lane's wavelength.
+    """
+
+    done: Any
+    up: Any
+    down: Any
+    side: Any
+    stopped: Any
+    unfinished: Any
+    weight: Any
+    entered: Any
+    cosine: Any
+    radius: Any
+    wavelength: Any
+
+
+class Observer(Protocol):
+    """Records of a walk: state carried by the loop, and what it comes to."""
+
+    def start(self, d: Device, lanes: int) -> Any:
+        """State before the first step (a tuple of arrays)."""
+        ...
+
+    def step(self, d: Device, state: Any, step: Step) -> Any:
+        """State after a step."""
+        ...
+
+    def end(self, d: Device, state: Any, end: End) -> Any:
+        """State after photons ended; what belongs to one photon is cleared where `end.done`."""
+        ...
+
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+        """Sums over all lanes, wavelengths first."""
+        ...
+
+
+def _add(d: Device, sums: tuple[Any, Any], where: Any, value: Any) -> tuple[Any, Any]:
+    v = d.dr.select(where, d.Float64(value), 0.0)
+    return sums[0] + v, d.dr.fma(v, v, sums[1])
+
+
+def _by_wavelength(array: Any, wavelengths: int) -> FloatArray:
+    return np.asarray(np.array(array, dtype=np.float64).reshape(wavelengths, -1).sum(1))
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Reflected, transmitted, lost, given up, and the redirect factor's part.
+
+    Attributes
+    ----------
+    sides, redirects, random_entry
+        Whether light can leave sideways, whether a factor applies, whether entering light varies.
+    """
+
+    sides: bool
+    redirects: bool
+    random_entry: bool
+
+    def start(self, d: Device, lanes: int) -> Any:
+        """Sums and squares for each quantity, a photon's redirect loss, and the count of walks too long."""
+        names = ["reflectance", "transmittance", "residual"]
+        names += ["lost"] * self.sides + ["redirect_loss"] * self.redirects + ["specular"] * self.random_entry
+        zero = d.dr.zeros
+        sums = {n: (zero(d.Float64, lanes), zero(d.Float64, lanes)) for n in names}
+        return sums, zero(d.Float, lanes), zero(d.UInt32, lanes)
+
+    def step(self, d: Device, state: Any, step: Step) -> Any:
+        """Add to the photon's redirect loss."""
+        sums, loss, count = state
+        return (sums, loss + step.redirect_loss, count) if self.redirects else state
+
+    def end(self, d: Device, state: Any, end: End) -> Any:
+        """Close the photon's account."""
+        sums, loss, count = state
+        sums = dict(sums)
+        parts = [("reflectance", end.up), ("transmittance", end.down), ("residual", end.stopped)]
+        for name, where in parts + [("lost", end.side)] * self.sides:
+            sums[name] = _add(d, sums[name], where, end.weight)
+        if self.random_entry:
+            sums["specular"] = _add(d, sums["specular"], end.done, 1.0 - end.entered)
+        if self.redirects:
+            sums["redirect_loss"] = _add(d, sums["redirect_loss"], end.done, loss)
+            loss = d.dr.select(end.done, 0.0, loss)
+        return sums, loss, count + d.dr.select(end.unfinished, d.UInt32(1), d.UInt32(0))
+
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+        """(W,) each."""
+        sums, _, count = state
+        out = {
+            name: Moments(samples, _by_wavelength(s1, wavelengths), _by_wavelength(s2, wavelengths))
+            for name, (s1, s2) in sums.items()
+        }
+        stopped = _by_wavelength(count, wavelengths)
+        return out | {"unfinished": Moments(samples, stopped, stopped)}
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """Weight absorbed in each layer."""
+
+    layers: int
+
+    def start(self, d: Device, lanes: int) -> Any:
+        """A photon's weight, sums and squares for each layer."""
+        zero = d.dr.zeros
+        return tuple((zero(d.Float, lanes), zero(d.Float64, lanes), zero(d.Float64, lanes)) for _ in range(self.layers))
+
+    def step(self, d: Device, state: Any, step: Step) -> Any:
+        """Add to the layer the photon is in."""
+        return tuple(
+            (d.dr.select(here, photon + step.absorbed, photon), s1, s2)
+            for here, (photon, s1, s2) in zip(step.inside, state, strict=True)
+        )
+
+    def end(self, d: Device, state: Any, end: End) -> Any:
+        """Close the photon's account."""
+        return tuple(
+            (d.dr.select(end.done, 0.0, photon), *_add(d, (s1, s2), end.done, photon)) for photon, s1, s2 in state
+        )
+
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+        """(W, L)."""
+        total = np.stack([_by_wavelength(s1, wavelengths) for _, s1, _ in state], axis=1)
+        squares = np.stack([_by_wavelength(s2, wavelengths) for _, _, s2 in state], axis=1)
+        return {"absorbed": Moments(samples, total, squares)}
+
+
+class Bins:
+    """Reflected and transmitted light by exit angle and radius, summed as integers in memory that all lanes share."""
+
+    def __init__(self, d: Device, tally: Tally, wavelengths: int) -> None:
+        self._theta, self._radius = len(tally.theta) - 1, len(tally.radius) - 1
+        # Increasing in −cos θ, as θ is; the outermost edges take in what rounding puts beyond them.
+        edges = -np.cos(tally.theta)
+        edges[0] = -2.0 if tally.theta[0] == 0.0 else edges[0]
+        edges[-1] = 0.0 if tally.theta[-1] >= math.pi / 2 else edges[-1]
+        self._cosines = d.load(d.Float, edges)
+        self._radii = d.load(d.Float, tally.radius)
+        size = 2 * self._theta * self._radius * wavelengths
+        self._sums = d.dr.zeros(d.Int64, size), d.dr.zeros(d.Int64, size)
+        d.dr.make_opaque(self._cosines, self._radii, self._sums)
+
+    def start(self, d: Device, lanes: int) -> Any:
+        """Nothing in registers."""
+        return ()
+
+    def step(self, d: Device, state: Any, step: Step) -> Any:
+        """Nothing before the exit."""
+        return state
+
+    def end(self, d: Device, state: Any, end: End) -> Any:
+        """Find the bin and add, in the lanes that leave."""
+        dr = d.dr
+
+        def place(edges: Any, count: int, value: Any) -> tuple[Any, Any]:
+            found = dr.binary_search(0, count + 1, lambda k: dr.gather(d.Float, edges, k) <= value)
+            return found - 1, (found >= 1) & (found <= count)
+
+        def add(leaves: Any, up: Any, weight: Any, cosine: Any, radius: Any, wavelength: Any) -> Any:
+            t, inside = place(self._cosines, self._theta, -cosine)
+            r, within = (
+                place(self._radii, self._radius, radius) if self._radius > 1 or radius is not None else (0, True)
+            )
+            index = ((wavelength * 2 + dr.select(up, d.UInt32(0), d.UInt32(1))) * self._theta + t) * self._radius + r
+            where = leaves & inside & within
+            w = d.Float64(weight)
+            dr.scatter_add(self._sums[0], d.Int64(w * FIXED_POINT), index, where)
+            dr.scatter_add(self._sums[1], d.Int64(w * w * FIXED_POINT), index, where)
+            return leaves
+
+        leaves = end.up | end.down
+        args = (leaves, end.up, end.weight, end.cosine, end.radius, end.wavelength)
+        dr.if_stmt(args, leaves, add, lambda leaves, *_: leaves)
+        return state
+
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+        """(W, θ, r) for the light that leaves upwards and downwards."""
+        shape = (wavelengths, 2, self._theta, self._radius)
+        total, squares = (np.array(x, dtype=np.float64).reshape(shape) / FIXED_POINT for x in self._sums)
+        return {
+            "reflectance_binned": Moments(samples, total[:, 0], squares[:, 0]),
+            "transmittance_binned": Moments(samples, total[:, 1], squares[:, 1]),
+        }
