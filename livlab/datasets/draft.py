@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from livlab.datasets.meta import COLUMN_PATTERN, WAVELENGTH
 from livlab.datasets.quantity import parse_unit, require_unit
-from livlab.datasets.reader import RawTable, read_csv
+from livlab.datasets.reader import RawTable, read_csv, shown
 from livlab.errors import InputError
 from livlab.units import FloatArray
 
@@ -101,7 +101,7 @@ def read_draft(
     axis = _axis(raw, notes) if wavelength else None
     order = [i for i in range(raw.width) if i != axis]
     if not order:
-        raise InputError.of("file", str(path), "has no column beside the wavelength", "Add a column of values.")
+        raise InputError.of("file", shown(path), "has no column beside the wavelength", "Add a column of values.")
     names, units = _names(raw, order, columns, unit)
     lines = np.array(raw.lines)
     table: dict[str, FloatArray] = {}
@@ -152,7 +152,7 @@ def _check_wavelengths(
 ) -> NDArray[np.int64]:
     """Return the order of rows that makes the wavelengths rise."""
     if len(nm) < 2:
-        raise InputError.of("file", str(path), "has one row of numbers; a spectrum needs two or more", "Add rows.")
+        raise InputError.of("file", shown(path), "has one row of numbers; a spectrum needs two or more", "Add rows.")
     if not converted and written.min() > 0 and written.max() < _SURELY_UM:
         raise InputError.of(
             f"{path.name}: wavelengths",

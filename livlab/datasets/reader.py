@@ -23,6 +23,7 @@ MAX_BYTES = 8 * 1024 * 1024
 MAX_ROWS = 100_000
 MAX_COLUMNS = 64
 _MAX_HEADING = 200
+_MAX_NUMBER = 100
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|n/?a|null|none|#n/a|#value!|#div/0!)", re.IGNORECASE)
@@ -131,6 +132,12 @@ def read_csv(path: Path) -> RawTable:
     return RawTable(path, headings, units, tuple(body_lines), tuple(body_rows), tuple(notes))
 
 
+def shown(path: Path) -> str:
+    """Return a path as messages show it: a long one keeps its end, where the file's name is."""
+    text = str(path)
+    return text if len(text) <= 70 else f"...{text[-67:]}"
+
+
 def suggested_name(path: Path) -> str:
     """Suggest a dataset name after the file's.
 
@@ -143,10 +150,10 @@ def suggested_name(path: Path) -> str:
 def _text(path: Path) -> tuple[str, list[str]]:
     content = _bytes(path)
     if not content.strip():
-        raise InputError.of("file", str(path), "is empty", "Give a CSV with wavelengths and values.")
+        raise InputError.of("file", shown(path), "is empty", "Give a CSV with wavelengths and values.")
     for magic, what in _MAGIC:
         if content.startswith(magic):
-            raise InputError.of("file", str(path), f"is {what}, not a text table", _AS_TEXT_REMEDY)
+            raise InputError.of("file", shown(path), f"is {what}, not a text table", _AS_TEXT_REMEDY)
     found = next((entry for entry in _BOMS if content.startswith(entry[0])), None)
     # Without a mark: UTF-8, or what old spreadsheets write in the west.
     choices = [found[1:]] if found else [("utf-8", ""), ("cp1252", "not UTF-8: read as Windows-1252")]
@@ -155,32 +162,32 @@ def _text(path: Path) -> tuple[str, list[str]]:
             return _printable(path, content.decode(encoding)), [words] if words else []
         except UnicodeDecodeError:
             continue
-    raise InputError.of("file", str(path), "is not a text file", _AS_TEXT_REMEDY)
+    raise InputError.of("file", shown(path), "is not a text file", _AS_TEXT_REMEDY)
 
 
 def _bytes(path: Path) -> bytes:
     if "\0" in str(path):
-        raise InputError.of("file", str(path), "is not a file name", "Give the path of a CSV file.")
+        raise InputError.of("file", shown(path), "is not a file name", "Give the path of a CSV file.")
     try:
         # Non-blocking: a named pipe without a writer must not hang before it is refused.
         with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as stream:
             status = os.fstat(stream.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise InputError.of("file", str(path), "is not a regular file", "Give the path of a CSV file.")
+                raise InputError.of("file", shown(path), "is not a regular file", "Give the path of a CSV file.")
             content = b"" if status.st_size > MAX_BYTES else stream.read(MAX_BYTES + 1)
             size = max(status.st_size, len(content))
             if size > MAX_BYTES:
                 raise InputError.of(
                     "file",
-                    str(path),
+                    shown(path),
                     f"has {size / 2**20:.1f} MiB, more than the {MAX_BYTES // 2**20} MiB that a spectrum may have",
                     _TOO_MUCH_REMEDY,
                 )
             return content
     except FileNotFoundError as error:
-        raise InputError.of("file", str(path), "does not exist", "Check the path.") from error
+        raise InputError.of("file", shown(path), "does not exist", "Check the path.") from error
     except (IsADirectoryError, NotADirectoryError) as error:
-        raise InputError.of("file", str(path), "is not a file", "Give the path of a CSV file.") from error
+        raise InputError.of("file", shown(path), "is not a file", "Give the path of a CSV file.") from error
     except OSError as error:
         raise EnvironmentProblem(
             f"{path} cannot be read: {error.strerror or error}.", remedy="Check the path and its permissions."
@@ -190,7 +197,7 @@ def _bytes(path: Path) -> bytes:
 def _printable(path: Path, text: str) -> str:
     bad = sum(1 for c in text if ord(c) < 32 and c not in "\t\n\r\f\v")
     if bad:
-        raise InputError.of("file", str(path), f"has {bad} control characters: not a text table", _AS_TEXT_REMEDY)
+        raise InputError.of("file", shown(path), f"has {bad} control characters: not a text table", _AS_TEXT_REMEDY)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -199,11 +206,13 @@ def _split(path: Path, text: str) -> tuple[str, list[_Line], str]:
         (i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip() and line.lstrip()[0] not in "#%"
     ]
     if not kept:
-        raise InputError.of("file", str(path), "has no table, only comments", "Give a CSV with wavelengths and values.")
+        raise InputError.of(
+            "file", shown(path), "has no table, only comments", "Give a CSV with wavelengths and values."
+        )
     if len(kept) > MAX_ROWS:
         raise InputError.of(
             "file",
-            str(path),
+            shown(path),
             f"has {len(kept)} rows, more than the {MAX_ROWS} that a spectrum may have",
             _TOO_MUCH_REMEDY,
         )
@@ -216,27 +225,27 @@ def _split(path: Path, text: str) -> tuple[str, list[_Line], str]:
         width, _ = max(widths.items(), key=lambda item: (item[1], item[0]))
         if width < 2:
             continue
-        numeric = sum(1 for _, cells in split for cell in cells if _value(cell, dialect[1]) is not None)
-        fit = numeric / sum(len(cells) for _, cells in split)
+        judged = [cell for _, cells in split for cell in cells[:MAX_COLUMNS]]
+        fit = sum(1 for cell in judged if _value(cell, dialect[1]) is not None) / len(judged)
         if fit > best_score[0]:
             best, best_score = dialect, (fit, width)
     if best is None:
         raise InputError.of(
             "file",
-            str(path),
+            shown(path),
             "has no two columns of numbers",
             "Separate the columns by comma, semicolon or tab: wavelength first, then the values.",
         )
     lines = _cells(kept, best[0])
-    while all(len(cells) > 2 and not cells[-1] for _, cells in lines):
-        lines = [(number, cells[:-1]) for number, cells in lines]
     if max(len(cells) for _, cells in lines) > MAX_COLUMNS:
         raise InputError.of(
             "file",
-            str(path),
+            shown(path),
             f"has more than {MAX_COLUMNS} columns",
             "Keep the columns that you need, and add that file.",
         )
+    while all(len(cells) > 2 and not cells[-1] for _, cells in lines):
+        lines = [(number, cells[:-1]) for number, cells in lines]
     return best[2], lines, best[1]
 
 
@@ -254,6 +263,8 @@ def _cells(lines: list[tuple[int, str]], delimiter: str | None) -> list[_Line]:
 
 
 def _value(cell: str, decimal: str) -> float | None:
+    if len(cell) > _MAX_NUMBER:
+        return None
     if decimal == ",":
         if "." in cell:
             return None
@@ -269,7 +280,7 @@ def _heading(
     if _value(first[0], decimal) is not None or _NOT_FINITE.fullmatch(first[0]):
         return None, (None,) * len(first), lines
     if len(lines) == 1:
-        raise InputError.of("file", str(path), "has a heading and no rows", "Give at least two rows of numbers.")
+        raise InputError.of("file", shown(path), "has a heading and no rows", "Give at least two rows of numbers.")
     headings, units = [], []
     for cell in first:
         if len(cell) > _MAX_HEADING:

@@ -245,3 +245,27 @@ def test_units_convert_both_ways() -> None:
         "M",
     )
     assert np.isclose(convert_factor("deg", "rad") * 180, np.pi)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "500," + "9" * 4_000_000 + "\n510,1\n",
+        "(" * 4_000_000 + ",(\n500,1\n510,2\n",
+        "1," * 2_000_000,
+        "500" + "," * 4_000_000,
+        '"' * 4_000_000,
+    ],
+)
+def test_monstrous_cells_are_refused_at_once(tmp_path: Path, text: str) -> None:
+    start = time.perf_counter()
+    with pytest.raises(InputError):
+        read(tmp_path, text, columns=["a:1"])
+    assert time.perf_counter() - start < 8
+
+
+def test_a_long_path_keeps_the_name_of_the_file(tmp_path: Path) -> None:
+    folder = tmp_path / ("d" * 100)
+    folder.mkdir()
+    with pytest.raises(InputError, match=r"dd/absent\.csv'"):
+        read_csv(folder / "absent.csv")
