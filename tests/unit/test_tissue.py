@@ -76,7 +76,7 @@ def test_a_tissue_under_a_reading_has_nothing_left_to_choose():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"layers.parenchyma.elements.blood.oxygenation": 1.2}, r"layers.parenchyma.elements.blood.oxygenation = 1.2.*1"),
+        ({"layers.parenchyma.elements.blood.oxygenation": 1.2}, r"layers.parenchyma.elements.blood.oxygenation = 1.2"),
         ({"layers.parenchyma.elements.blood.oxygenation": "0.6"}, "oxygenation = '0.6'.*number"),
         ({"layers.parenchyma.elements.blood.oxygenatoin": 0.6}, "unknown key.*Did you mean 'oxygenation'"),
         ({"layers.parenchima.elements.blood.fraction": 0.1}, "has no 'parenchima'.*Did you mean 'parenchyma'"),

@@ -8,8 +8,8 @@ import numpy as np
 
 from livlab.errors import RangeError
 from livlab.model.tissue.elements import Cell, Mixture
+from livlab.model.tissue.interactions import cell_attenuation
 from livlab.model.tissue.layers import Layer
-from livlab.model.tissue.optics import cell_attenuation
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.spectra import Spec, Spectrum, refractive_index
 from livlab.model.tissue.tissue import Tissue
