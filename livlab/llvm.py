@@ -42,8 +42,11 @@ _PATTERNS = {
         "/opt/local/libexec/llvm-*/lib/libLLVM*.dylib",
     ),
 }
-_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:[.\d]*)")
-_FOLDER = re.compile(r"llvm(?:@|-|/)(\d+)(?:[.\d]*)/")
+_MAJOR = (
+    re.compile(r"/libLLVM-(\d+)[.\d]*\.(?:so|dylib)"),
+    re.compile(r"/llvm(?:@|-|/)(\d+)[.\d]*/"),
+    re.compile(r"/libLLVM\.so\.(\d\d+)"),  # two digits: Ubuntu's /usr/lib/llvm-18/lib/libLLVM.so.1 is no LLVM 1
+)
 
 
 @dataclass(frozen=True)
@@ -252,15 +255,17 @@ def _resolve(path: Path) -> Path:
 def major_from_path(path: Path) -> int | None:
     """Read LLVM's major version from a library's name, or from the folder it lies in.
 
-    >>> major_from_path(Path("libLLVM-14.0.6.so.1")), major_from_path(Path("libLLVM.so.19.1"))
+    >>> major_from_path(Path("/usr/lib/libLLVM-14.0.6.so.1")), major_from_path(Path("/usr/lib/libLLVM.so.19.1"))
     (14, 19)
     >>> major_from_path(Path("/opt/homebrew/Cellar/llvm/20.1.2/lib/libLLVM.dylib"))
     20
-    >>> major_from_path(Path("libLLVM.so")) is None
+    >>> major_from_path(Path("/usr/lib/llvm-18/lib/libLLVM.so.1"))
+    18
+    >>> major_from_path(Path("/usr/lib/libLLVM.so")) is None
     True
     """
-    match = _NAME.search(path.name) or _FOLDER.search(str(path))
-    return int(match.group(1)) if match else None
+    matches = (pattern.search(str(path)) for pattern in _MAJOR)
+    return next((int(match.group(1)) for match in matches if match), None)
 
 
 def _judge(path: Path, origin: str) -> Libllvm:
