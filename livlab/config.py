@@ -72,12 +72,12 @@ class Kind:
         return _attribute(self.model)  # type: ignore[no-any-return]
 
     def load_job(self) -> Any:
-        """The kind's job: `job(config, run) -> None`, called by `livlab.runs.execute`."""
+        """The kind's job: `prepare(config) -> work`, then `work(run) -> None`, both called by `livlab.runs.execute`."""
         return _attribute(self.job)
 
 
 KINDS: dict[str, Kind] = {
-    "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:run_spectral"),
+    "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:prepare"),
 }
 """Every kind of experiment that a file can ask for with `kind = "…"`."""
 

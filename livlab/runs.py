@@ -15,7 +15,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -253,6 +253,8 @@ def execute(
     folder = folder_of(config, identity, Path(base))
     if not force and is_complete(folder, identity):
         return _outcome(folder, _report(folder, report, only_missing=True), cached=True)
+    open_folder(Path(base))
+    work: Callable[[Run], None] = KINDS[config.plain()["kind"]].load_job()(config)
     open_folder(folder)
     with locked(folder):
         if not force and is_complete(folder, identity):
@@ -260,7 +262,7 @@ def execute(
         run = Run(folder, config, identity, progress)
         if force:
             _drop_pieces(folder)
-        _work(run, command or f"livlab run {folder / 'config.toml'}", hashes, again=force)
+        _work(run, work, command or f"livlab run {folder / 'config.toml'}", hashes, again=force)
         return _outcome(folder, _report(folder, report, only_missing=False), cached=False)
 
 
@@ -296,10 +298,10 @@ def dataset_hashes(names: Sequence[str]) -> dict[str, str]:
         return {}
     from livlab import datasets
 
-    return {name: datasets.fingerprint(name) for name in sorted(set(names))}
+    return {name: datasets.load(name).meta.sha256 for name in sorted(set(names))}
 
 
-def _work(run: Run, command: str, hashes: Mapping[str, str], *, again: bool) -> None:
+def _work(run: Run, work: Callable[[Run], None], command: str, hashes: Mapping[str, str], *, again: bool) -> None:
     before = {} if again else read_manifest(run.folder)
     spent = float(before.get("seconds", 0.0)) if before.get("digest") == run.digest else 0.0
     started = before.get("started") if spent else None
@@ -335,7 +337,7 @@ def _work(run: Run, command: str, hashes: Mapping[str, str], *, again: bool) -> 
     run.write("config.toml", to_toml(run.config))
     try:
         with _listening(run):
-            KINDS[manifest["kind"]].load_job()(run.config, run)
+            work(run)
             write_manifest("complete")
     except KeyboardInterrupt:
         write_manifest("partial")
@@ -381,7 +383,7 @@ def _report(folder: Path, wanted: bool, *, only_missing: bool) -> Path | None:
 
 def rebuild_report(folder: Path) -> Path:
     """Build the report of a run folder again, from its files alone."""
-    from livlab.reports import build_report
+    from livlab.reports.page import build_report
 
     try:
         return build_report(folder)

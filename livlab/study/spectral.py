@@ -1,0 +1,244 @@
+"""The spectral job: tissue → optical stack → instrument → curves → metrics → claims, one reading after the other."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from livlab.acquire.instruments import WalkSolver
+from livlab.acquire.spectrometer import Progress, measure
+from livlab.config_spectral import SpectralExperiment
+from livlab.criteria import Claim
+from livlab.model.tissue.optics import optical_stack, stack_coefficients
+from livlab.model.tissue.readings import Reading
+from livlab.model.tissue.stack import OpticalStack
+from livlab.model.tissue.tissue import Tissue
+from livlab.study import spectral_tables as tables
+from livlab.study.spectral_claims import Known, judge, load_reference, normalise_as, points, processed
+
+if TYPE_CHECKING:
+    from livlab.runs import Run
+
+SAVE_EVERY_SECONDS = 5.0
+"""A reading under way is saved this often, so that a killed process loses little."""
+
+_BUDGET = ("specular", "transmittance", "lost", "redirect_loss", "residual")
+
+
+def prepare(config: SpectralExperiment) -> Callable[[Run], None]:
+    """Everything that can go wrong before light is followed: datasets, ranges, the tissue under each reading.
+
+    Parameters
+    ----------
+    config
+        A resolved experiment.
+
+    Returns
+    -------
+    The job: called with the run, it simulates, measures, compares and writes the run's files.
+
+    Raises
+    ------
+    RangeError
+        A wavelength outside the range of a dataset of the tissue.
+    DatasetError
+        A dataset that is missing or was tampered with, or a column that it lacks.
+    """
+    references = [load_reference(r) for r in config.reference]
+    tissue = config.tissue.build()
+    grid = config.wavelengths.grid()
+    stacks: dict[str, OpticalStack] = {}
+    costs: list[dict[str, object]] = []
+    for reading in config.all_readings:
+        started = time.perf_counter()
+        stacks[reading.name] = optical_stack(tissue, reading, grid)
+        costs.append({"stage": "tissue", "reading": reading.name, "seconds": time.perf_counter() - started})
+    return lambda run: _work(run, config, tissue, stacks, references, costs)
+
+
+def _work(
+    run: Run,
+    config: SpectralExperiment,
+    tissue: Tissue,
+    stacks: dict[str, OpticalStack],
+    references: list[Known],
+    costs: list[dict[str, object]],
+) -> None:
+    if isinstance(config.solver, WalkSolver):
+        from livlab.llvm import choose_libllvm
+
+        run.info["variant"] = config.variant
+        if config.variant == "llvm":
+            run.info["libllvm"] = choose_libllvm().name
+    run.progress.begin(list(stacks))
+    pieces: dict[str, xr.Dataset] = {}
+    for name, stack in stacks.items():
+        pieces[name] = piece = _measured(run, config, name, stack)
+        samples = int(piece.attrs["samples"])
+        seconds, compiling = float(piece.attrs["seconds"]), float(piece.attrs["compile_seconds"])
+        if compiling:
+            costs.append({"stage": "compile", "reading": name, "seconds": compiling})
+        walking = max(seconds - compiling, 1e-9)
+        costs.append(
+            {
+                "stage": "measure",
+                "reading": name,
+                "seconds": walking,
+                "samples": samples,
+                "samples_per_second": samples / walking if samples else None,
+            }
+        )
+    _note(run, pieces)
+    started = time.perf_counter()
+    claims, metrics = judge(config, pieces, references)
+    costs.append({"stage": "claims", "reading": None, "seconds": time.perf_counter() - started})
+    _write(run, config, tissue, stacks, pieces, references, claims, metrics, costs)
+
+
+def _measured(run: Run, config: SpectralExperiment, name: str, stack: OpticalStack) -> xr.Dataset:
+    """One reading's measurement: as an earlier call left it, gone on from there, or from the start."""
+    solver = config.solver
+    if isinstance(solver, WalkSolver):
+        solver = solver.model_copy(update={"seed": reading_seed(config.seed, name)})
+    key = f"measure {name}"
+    earlier = run.load_piece(key)
+    if earlier is not None and earlier.attrs["finished"]:
+        run.progress.advance(name, 1.0, "as saved")
+        return earlier
+    run.progress.advance(name, 0.0)
+    saved = time.monotonic()
+
+    def on_round(so_far: xr.Dataset, progress: Progress) -> None:
+        nonlocal saved
+        run.progress.advance(name, min(progress.done, 0.999), f"{progress.samples / 1e6:.1f} M samples")
+        stopping = run.stopping.is_set()
+        if stopping or time.monotonic() - saved > SAVE_EVERY_SECONDS:
+            run.save_piece(key, so_far.assign_attrs(finished=0))
+            saved = time.monotonic()
+        run.stop_if_asked()
+
+    done = measure(stack, config.instrument, solver, variant=config.variant, on_round=on_round, resume=earlier)
+    done = done.assign_attrs(finished=1)
+    run.save_piece(key, done)
+    run.progress.advance(name, 1.0)
+    run.stop_if_asked()
+    return done
+
+
+def reading_seed(seed: int, reading: str) -> int:
+    """Seed of a reading's walk: independent between readings, and the same whatever other readings there are.
+
+    >>> reading_seed(1, "thesis") != reading_seed(1, "measured")
+    True
+    """
+    return int.from_bytes(hashlib.sha256(f"{seed}:{reading}".encode()).digest()[:4], "big") >> 1
+
+
+def _note(run: Run, pieces: dict[str, xr.Dataset]) -> None:
+    """Warnings of the stacks and instruments; one that several readings share is said once."""
+    by_text: dict[str, list[str]] = {}
+    for name, piece in pieces.items():
+        for text in filter(None, str(piece.attrs["notes"]).split("\n")):
+            by_text.setdefault(text, []).append(name)
+    for text, names in by_text.items():
+        run.note(text if len(names) == len(pieces) > 1 else f"{', '.join(names)}: {text}")
+
+
+def _write(
+    run: Run,
+    config: SpectralExperiment,
+    tissue: Tissue,
+    stacks: dict[str, OpticalStack],
+    pieces: dict[str, xr.Dataset],
+    references: list[Known],
+    claims: list[Claim],
+    metrics: list[dict[str, object]],
+    costs: list[dict[str, object]],
+) -> None:
+    readings = config.all_readings
+    coefficients = _stacked({name: stack_coefficients(stack) for name, stack in stacks.items()})
+    result = _result(config, pieces, references)
+    run.write_result({"/": result, "coefficients": coefficients})
+    for name, (columns, rows) in {
+        "spectra.csv": tables.spectra(pieces),
+        "curves.csv": tables.curves(result),
+        "coefficients.csv": tables.coefficients(coefficients),
+        "budget.csv": tables.budget(pieces),
+        "tissue.csv": tables.tissue(tissue, readings),
+        "readings.csv": tables.readings(readings),
+        "provenance.csv": tables.provenance(tissue, readings, config.wavelengths.grid(), references),
+        "metrics.csv": (tables.METRICS, metrics),
+        "costs.csv": (tables.COSTS, costs),
+    }.items():
+        run.write_table(name, columns, rows)
+    run.write_claims(claims)
+    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+
+
+def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], references: list[Known]) -> xr.Dataset:
+    """The root group of result.nc."""
+    made = {}
+    for name, piece in pieces.items():
+        kept = piece[[x for b in _BUDGET for x in (b, f"{b}_se")] + ["absorbed", "absorbed_se", "samples", "converged"]]
+        kept = kept.assign(
+            reflectance=piece["value"],
+            reflectance_se=piece["standard_error"],
+            diffuse_reflectance=piece["reflectance"],
+            diffuse_reflectance_se=piece["reflectance_se"],
+        )
+        curve = normalise_as(processed(points(piece), config.processing), config.processing)
+        x = ("wavelength_curve", curve.wavelength_nm, {"units": "nm"})
+        kept = kept.assign_coords(wavelength_curve=x).assign(
+            curve=("wavelength_curve", curve.value, {"units": "1"}),
+            curve_se=("wavelength_curve", curve.standard_error, {"units": "1"}),
+        )
+        made[name] = kept.drop_attrs(deep=False)
+    root = _stacked(made)
+    root["reflectance"].attrs |= {"units": "1", "long_name": f"reading of the {config.instrument.kind}"}
+    root = root.transpose("reading", "layer", "wavelength", "wavelength_curve", missing_dims="ignore")
+    grid = root["wavelength_curve"].to_numpy()
+    shown = [r for r in references if r.dataset is not None]
+    if shown:
+        means, sds = zip(*(_scaled(r, grid, config.processing.normalise) for r in shown), strict=True)
+        root = root.assign_coords(reference_name=[r.spec.label for r in shown])
+        root["reference"] = (("reference_name", "wavelength_curve"), np.array(means), {"units": "1"})
+        root["reference_sd"] = (("reference_name", "wavelength_curve"), np.array(sds), {"units": "1"})
+    p, first = config.processing, next(iter(pieces.values()))
+    root.attrs = {
+        "units": "1",
+        "normalisation": p.normalise,
+        "smoothing": f"linear interpolation to {p.interpolate_nm:g} nm, moving average of {p.moving_average}, "
+        f"{p.alignment}",
+        "instrument": config.instrument.model_dump_json(),
+        "solver": config.solver.model_dump_json(exclude_none=True, exclude={"seed"}),
+        "samples": sum(int(x.attrs["samples"]) for x in pieces.values()),
+        "seed": config.seed,
+        "variant": str(first.attrs["variant"]),
+        "estimator": str(first.attrs["estimator"]),
+    }
+    return root
+
+
+def _scaled(reference: Known, grid: Any, by: str) -> tuple[Any, Any]:
+    """A reference on the curves' grid, normalised as they are where it is known."""
+    mean, sd = reference.at(grid)
+    known = mean[np.isfinite(mean)]
+    size = 1.0 if by == "none" or not known.size else float(known.max() if by == "max" else known.sum())
+    return mean / size, np.full_like(mean, np.nan) if sd is None else sd / size
+
+
+def _stacked(parts: dict[str, xr.Dataset]) -> xr.Dataset:
+    """One dataset along a new dimension `reading`."""
+    names = xr.DataArray(list(parts), dims="reading", name="reading")
+    return xr.concat(
+        list(parts.values()), dim=names, data_vars="all", coords="different", compat="equals", join="outer",
+        combine_attrs="drop_conflicts", fill_value=np.nan,
+    )  # fmt: skip
+
+
+__all__ = ["Reading", "prepare", "reading_seed"]
