@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -251,7 +252,7 @@ def machine_findings(folder: Path | None = None) -> list[Finding]:
         findings.append(Finding("disk", "warning", detail, "Make room, or run in another folder."))
     else:
         findings.append(Finding("disk", "ok", detail))
-    if not os.access(place, os.W_OK):
+    if not _can_write(place):
         findings.append(Finding("disk", "warning", f"{place} is read-only", "Run in a folder you may write to."))
     return findings
 
@@ -265,11 +266,20 @@ def cache_findings() -> list[Finding]:
         ]
     folder = (Path(named) if named else Path(str(home)) / ".drjit").absolute()
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
-    if nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK):
+    if _can_write(nearest):
         return [Finding("kernel cache", "ok", str(folder))]
     return [
         Finding("kernel cache", "warning", f"{folder} cannot be written", "Set DRJIT_CACHE_DIR to a writable folder.")
     ]
+
+
+def _can_write(folder: Path) -> bool:
+    """Try it: root is told "yes" by the permission bits even where no file can be made."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 def _required() -> list[str]:

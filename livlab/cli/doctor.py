@@ -48,10 +48,15 @@ def doctor(
         console.print(table)
         troubles = [finding for finding in findings if finding.state in ("warning", "blocked")]
         if blocked(findings):
-            console.print(Text(f"{len(troubles)} troubles; simulations cannot run before the red ones are mended."))
+            trouble = _count(len(troubles), "trouble")
+            console.print(Text(f"{trouble}; simulations cannot run before the red ones are mended."))
         elif troubles:
-            console.print(Text(f"Simulations can run; {len(troubles)} warnings."))
+            console.print(Text(f"Simulations can run; {_count(len(troubles), 'warning')}."))
         else:
             console.print(Text("Everything livlab needs is here."))
     if blocked(findings):
         raise typer.Exit(3)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")

@@ -1,0 +1,27 @@
+import contextlib
+import os
+
+import pytest
+from hypothesis import settings
+
+from livlab.errors import EnvironmentProblem
+from livlab.llvm import choose_libllvm
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+# The same examples every time, and no deadline that a busy machine would miss.
+settings.register_profile("livlab", derandomize=True, deadline=None)
+settings.load_profile("livlab")
+
+# Before any test imports drjit or mitsuba by itself: a bad libLLVM would end the whole test run.
+with contextlib.suppress(EnvironmentProblem):
+    choose_libllvm()
+
+
+@pytest.fixture(scope="session")
+def libllvm():
+    """A libLLVM that Dr.Jit can use; the test is skipped where there is none."""
+    try:
+        return choose_libllvm()
+    except EnvironmentProblem as problem:
+        pytest.skip(str(problem))
