@@ -13,8 +13,11 @@ from livlab.llvm import choose_libllvm
 
 Variant = Literal["llvm", "cuda"]
 
-LANES: dict[Variant, int] = {"llvm": 1 << 14, "cuda": 1 << 19}
-"""Walkers in flight: enough for every core (thread block) and few enough to stay in cache."""
+LANES: dict[Variant, int] = {"llvm": 1 << 14, "cuda": 1 << 18}
+"""Walkers in flight: enough for every core, few enough to stay in cache."""
+
+BATCH_PHOTONS: dict[Variant, int] = {"llvm": 1 << 22, "cuda": 1 << 25}
+"""Photons of a launch over all wavelengths: a second or so of work."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,7 @@ class Device:
     Float64: Any
     UInt32: Any
     UInt64: Any
+    Int32: Any
     Int64: Any
     Bool: Any
     Array4f: Any
@@ -78,6 +82,7 @@ def device(variant: Variant) -> Device:
         backend.Float64,
         backend.UInt32,
         backend.UInt64,
+        backend.Int32,
         backend.Int64,
         backend.Bool,
         backend.Array4f,

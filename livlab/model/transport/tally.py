@@ -1,8 +1,8 @@
 """What a walk counts, and sums that keep their digits.
 
-A photon carries single precision; its contributions are summed in double (a lane's own register) or as
-integers in units of 2⁻⁴⁰ (shared bins: integer sums do not depend on the order in which threads arrive).
-Float32 sums stall once a sum outgrows its terms by 2²⁴.
+A photon carries single precision. A float32 sum stalls once it outgrows its terms by 2²⁴, and a sum shared
+by threads depends on the order of their arrival; so contributions are added as integers, in units small
+enough not to matter and over so few photons that nothing overflows, and the host goes on in double.
 """
 
 from __future__ import annotations
@@ -17,8 +17,15 @@ import numpy as np
 from livlab.errors import InputError
 from livlab.units import FloatArray
 
-FIXED_POINT = 2.0**40
-"""Scale of integer sums: a launch of 2²² photons of weight ≤ 1 stays below 2⁶²."""
+FIXED_POINT = 2.0**36
+"""Units a photon in bins that all lanes share: 64-bit integers hold 2²⁶ photons of a launch."""
+
+LANE_FIXED_POINT = 2.0**22
+"""Units a photon in a lane's own 32-bit register."""
+
+LAUNCH_PHOTONS = 1 << 26
+LANE_PHOTONS = 1 << 8
+"""Photons of a launch and of a lane that leave either integer a bit to spare."""
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ import xarray as xr
 
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
-from livlab.model.transport.device import LANES, Device, Variant, device
+from livlab.model.transport.device import BATCH_PHOTONS, LANES, Device, Variant, device
 from livlab.model.transport.fresnel import fresnel
 from livlab.model.transport.source import Source
-from livlab.model.transport.tally import Moments, Tally
+from livlab.model.transport.tally import LANE_PHOTONS, LAUNCH_PHOTONS, Moments, Tally
 from livlab.model.transport.walk_columns import Columns, Settings
 from livlab.model.transport.walk_kernel import trace
 from livlab.model.transport.walk_observers import Absorbed, Bins, Observer, Totals
@@ -30,14 +30,13 @@ from livlab.model.transport.walk_tables import Estimator, Tables, tables
 
 __all__ = ["Source", "Tally", "merge", "walk"]
 
-CAPTURE_WEIGHT = 0.3
+CAPTURE_WEIGHT = 0.5
 """A photon of the expected walk below this weight survives a meeting by chance, whole, or is absorbed whole.
 
 That is Russian roulette whose survival probability is the albedo itself: unbiased, and unlike the usual
 kind it moves no energy from photon to photon, so that every photon's account closes."""
 
 MAX_STEPS = 100_000
-BATCH_PHOTONS = 1 << 22
 _LANE_SHARE = 48
 _VECTOR = 16
 
@@ -77,7 +76,7 @@ def walk(
     variant: Variant = "llvm",
     progress: Callable[[float], None] | None = None,
     max_steps: int = MAX_STEPS,
-    batch_photons: int = BATCH_PHOTONS,
+    batch_photons: int | None = None,
 ) -> xr.Dataset:
     """Reflectance, transmittance and absorption of a stack by random walk.
 
@@ -108,7 +107,7 @@ def walk(
     max_steps
         Meetings and interfaces after which a photon is given up (counted in `unfinished` and `residual`).
     batch_photons
-        Photons in one launch over all wavelengths.
+        Photons in one launch over all wavelengths, the grain of progress; default: what suits the variant.
 
     Returns
     -------
@@ -128,8 +127,9 @@ def walk(
         If the variant cannot run here.
     """
     source, tally = source or Source.collimated(), tally or Tally()
-    _check(source, samples, estimator, half_width_mm, max_steps, batch_photons)
     d = device(variant)
+    batch_photons = BATCH_PHOTONS[variant] if batch_photons is None else batch_photons
+    _check(source, samples, estimator, half_width_mm, max_steps, batch_photons)
     started = time.perf_counter()
     t = tables(stack, estimator)
     wavelengths = len(stack.wavelength_nm)
@@ -241,9 +241,9 @@ class _Launcher:
 
 
 def _lanes(target: int, wavelengths: int, samples: int) -> int:
-    """Lanes a wavelength: whole vectors, enough photons in each to outlast the longest walk."""
-    wanted = min(target // wavelengths, samples // _LANE_SHARE)
-    return max(1, math.ceil(wanted / _VECTOR)) * _VECTOR
+    """Lanes a wavelength: whole vectors, photons enough in each to outlast the longest walk, few enough to sum."""
+    wanted = max(min(target // wavelengths, samples // _LANE_SHARE), math.ceil(samples / LANE_PHOTONS), 1)
+    return math.ceil(wanted / _VECTOR) * _VECTOR
 
 
 def _batches(samples: int, most: int) -> list[int]:
@@ -293,13 +293,8 @@ def _check(
     for name, value in (("samples", samples), ("max_steps", max_steps), ("batch_photons", batch_photons)):
         if value < 1:
             raise InputError.of(name, value, "must be >= 1", "Ask for at least one.")
-    if batch_photons > BATCH_PHOTONS:
-        raise InputError.of(
-            "batch_photons",
-            batch_photons,
-            f"must be <= {BATCH_PHOTONS}",
-            "Larger launches overflow the bins' integers.",
-        )
+    if batch_photons > LAUNCH_PHOTONS:
+        raise InputError.of("batch_photons", batch_photons, f"must be <= {LAUNCH_PHOTONS}", "Walk in smaller batches.")
     if half_width_mm is not None:
         if not half_width_mm > 0 or math.isinf(half_width_mm):
             raise InputError.of("half_width_mm", half_width_mm, "must be finite and > 0", "Use None for no sides.")

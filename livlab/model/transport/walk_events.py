@@ -39,7 +39,7 @@ def turn(d: Device, u: Any) -> tuple[Any, Any]:
 
 def henyey_greenstein(d: Device, g: Any, u: Any) -> Any:
     """1 − cos θ = 2 (1 − g)² v (1 + g u) / (1 − g + 2 g u)², v = 1 − u; exact for g = 0, no cancellation near 1."""
-    r = (1.0 - g) / (1.0 - g + 2.0 * g * u)
+    r = (1.0 - g) * d.dr.rcp(1.0 - g + 2.0 * g * u)
     return d.dr.minimum(2.0 * r * r * (1.0 - u) * (1.0 + g * u), 2.0)
 
 
@@ -47,7 +47,7 @@ def rayleigh(d: Device, u: Any) -> Any:
     """1 − cos θ by Cardano: µ³ + 3µ = 8u − 4."""
     k = 4.0 * u - 2.0
     root = d.dr.cbrt(d.dr.abs(k) + d.dr.sqrt(k * k + 1.0))
-    return d.dr.clip(1.0 - d.dr.mulsign(root - 1.0 / root, k), 0.0, 2.0)
+    return d.dr.clip(1.0 - d.dr.mulsign(root - d.dr.rcp(root), k), 0.0, 2.0)
 
 
 def tabulated(d: Device, t: Tables, table: Any, offset: Any, u: Any) -> Any:
@@ -91,7 +91,7 @@ def rotate(d: Device, u: tuple[Any, Any, Any], w: Any, cos_phi: Any, sin_phi: An
     cosine = 1.0 - w
     a_, b_ = sine * cos_phi, sine * sin_phi
     sign = dr.mulsign(d.Float(1.0), uz)
-    a = -1.0 / (sign + uz)
+    a = -dr.rcp(sign + uz)
     b = ux * uy * a
     x = a_ * (1.0 + sign * ux * ux * a) + b_ * b + cosine * ux
     y = a_ * sign * b + b_ * (sign + uy * uy * a) + cosine * uy
@@ -110,17 +110,16 @@ def tilt(d: Device, mu: Any, w: Any, cos_phi: Any) -> Any:
 def fresnel(d: Device, eta: Any, contrast: Any, cos_in: Any) -> tuple[Any, Any]:
     """Reflectance of unpolarised light and cosine behind, 1 and 0 beyond the critical angle.
 
-    With η = n₁/n₂ and the contrast 1 − η² from double precision: r_s = −(1 − η²)/(η c₁ + c₂)² and
-    r_p = (1 − η²)((1 + η²) c₁² − η²)/(c₁ + η c₂)², so that nearly equal indices keep their difference.
+    η = n₁/n₂ and the contrast 1 − η² come from double precision, so that c₂² = 1 − η² + η² c₁² keeps the
+    difference of nearly equal indices; r_s = (η c₁ − c₂)/(η c₁ + c₂), r_p = (c₁ − η c₂)/(c₁ + η c₂).
     """
     dr = d.dr
-    eta2 = eta * eta
-    c2 = cos_in * cos_in
-    squared = dr.fma(eta2, c2, contrast)
+    before = eta * cos_in
+    squared = dr.fma(before, before, contrast)
     behind = dr.sqrt(dr.maximum(squared, 0.0))
-    s = 1.0 / dr.maximum(dr.fma(eta, cos_in, behind), 1e-10)
-    p = 1.0 / dr.maximum(dr.fma(eta, behind, cos_in), 1e-10)
-    r_s = contrast * s * s
-    r_p = contrast * (dr.fma(eta2, c2, c2) - eta2) * p * p
-    r = 0.5 * (r_s * r_s + r_p * r_p)
-    return dr.select((squared <= 0.0) & (contrast != 0.0), 1.0, r), behind
+    after = eta * behind
+    s, p = before + behind, cos_in + after
+    both = dr.rcp(dr.maximum(s * p, 1e-20))  # one division serves two
+    r_s = (before - behind) * p * both
+    r_p = (cos_in - after) * s * both
+    return dr.select(squared <= 0.0, 1.0, 0.5 * dr.fma(r_s, r_s, r_p * r_p)), behind

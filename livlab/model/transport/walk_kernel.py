@@ -128,7 +128,7 @@ class _Walk:
         free, winner = self._free_path(stream, inside)
         up = p.mu < 0.0
         rest = dr.maximum(dr.select(up, p.z, depth - p.z), 0.0)
-        reach = rest / dr.maximum(dr.abs(p.mu), _TINY)
+        reach = rest * dr.rcp(dr.maximum(dr.abs(p.mu), _TINY))
         met = free < reach
         path = dr.minimum(dr.minimum(free, reach), _FAR)
         polar_bits, azimuth_bits = stream.next_uint32(), stream.next_uint32()

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from livlab.model.transport.device import Device
-from livlab.model.transport.tally import FIXED_POINT, Moments, Tally
+from livlab.model.transport.tally import FIXED_POINT, LANE_FIXED_POINT, Moments, Tally
 from livlab.units import FloatArray
 
 
@@ -100,18 +100,38 @@ class Observer(Protocol):
         ...
 
 
-def _add(d: Device, sums: tuple[Any, Any], where: Any, value: Any) -> tuple[Any, Any]:
-    v = d.dr.select(where, d.Float64(value), 0.0)
-    return sums[0] + v, d.dr.fma(v, v, sums[1])
-
-
 def _by_wavelength(array: Any, wavelengths: int) -> FloatArray:
     return np.asarray(np.array(array, dtype=np.float64).reshape(wavelengths, -1).sum(1))
 
 
+class Register:
+    """A lane's own sum and sum of squares, over at most `LANE_PHOTONS` photons before the host adds in double.
+
+    The sum counts in units of 2⁻²² (no drift, whatever the number of terms), the squares in float32 (they
+    only make a standard error, and may be far below 1).
+    """
+
+    @staticmethod
+    def start(d: Device, lanes: int) -> tuple[Any, Any]:
+        """Zeros."""
+        return d.dr.zeros(d.Int32, lanes), d.dr.zeros(d.Float, lanes)
+
+    @staticmethod
+    def add(d: Device, sums: tuple[Any, Any], where: Any, value: Any) -> tuple[Any, Any]:
+        """Add one photon's contribution, at most 1 in magnitude, in some lanes."""
+        v = d.dr.select(where, value, 0.0)
+        return sums[0] + d.Int32(d.dr.round(v * LANE_FIXED_POINT)), d.dr.fma(v, v, sums[1])
+
+    @staticmethod
+    def moments(sums: tuple[Any, Any], wavelengths: int, samples: int) -> Moments:
+        """Sums over lanes, (W,)."""
+        total, squares = (_by_wavelength(x, wavelengths) for x in sums)
+        return Moments(samples, total / LANE_FIXED_POINT, squares)
+
+
 @dataclass(frozen=True)
 class Totals:
-    """Reflected, transmitted, lost, given up, and the redirect factor's part.
+    """Reflected, transmitted, lost, and the redirect factor's part.
 
     Attributes
     ----------
@@ -124,12 +144,10 @@ class Totals:
     random_entry: bool
 
     def start(self, d: Device, lanes: int) -> Any:
-        """Sums and squares for each quantity, a photon's redirect loss, and the count of walks too long."""
+        """Registers, a photon's redirect loss, and the count of walks too long."""
         names = ["reflectance", "transmittance", "residual"]
         names += ["lost"] * self.sides + ["redirect_loss"] * self.redirects + ["specular"] * self.random_entry
-        zero = d.dr.zeros
-        sums = {n: (zero(d.Float64, lanes), zero(d.Float64, lanes)) for n in names}
-        return sums, zero(d.Float, lanes), zero(d.UInt32, lanes)
+        return {n: Register.start(d, lanes) for n in names}, d.dr.zeros(d.Float, lanes), d.dr.zeros(d.UInt32, lanes)
 
     def step(self, d: Device, state: Any, step: Step) -> Any:
         """Add to the photon's redirect loss."""
@@ -142,21 +160,22 @@ class Totals:
         sums = dict(sums)
         parts = [("reflectance", end.up), ("transmittance", end.down), ("residual", end.stopped)]
         for name, where in parts + [("lost", end.side)] * self.sides:
-            sums[name] = _add(d, sums[name], where, end.weight)
+            sums[name] = Register.add(d, sums[name], where, end.weight)
         if self.random_entry:
-            sums["specular"] = _add(d, sums["specular"], end.done, 1.0 - end.entered)
+            sums["specular"] = Register.add(d, sums["specular"], end.done, 1.0 - end.entered)
         if self.redirects:
-            sums["redirect_loss"] = _add(d, sums["redirect_loss"], end.done, loss)
-            loss = d.dr.select(end.done, 0.0, loss)
+            # With the plain cosine a photon can lose more than it brought: up to twice.
+            half = Register.add(d, sums["redirect_loss"], end.done, 0.5 * loss)
+            sums["redirect_loss"], loss = half, d.dr.select(end.done, 0.0, loss)
         return sums, loss, count + d.dr.select(end.unfinished, d.UInt32(1), d.UInt32(0))
 
     def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
         """(W,) each."""
         sums, _, count = state
-        out = {
-            name: Moments(samples, _by_wavelength(s1, wavelengths), _by_wavelength(s2, wavelengths))
-            for name, (s1, s2) in sums.items()
-        }
+        out = {name: Register.moments(x, wavelengths, samples) for name, x in sums.items()}
+        if self.redirects:
+            half = out["redirect_loss"]
+            out["redirect_loss"] = Moments(samples, 2.0 * half.total, 4.0 * half.squares)
         stopped = _by_wavelength(count, wavelengths)
         return out | {"unfinished": Moments(samples, stopped, stopped)}
 
@@ -168,27 +187,26 @@ class Absorbed:
     layers: int
 
     def start(self, d: Device, lanes: int) -> Any:
-        """A photon's weight, sums and squares for each layer."""
-        zero = d.dr.zeros
-        return tuple((zero(d.Float, lanes), zero(d.Float64, lanes), zero(d.Float64, lanes)) for _ in range(self.layers))
+        """A photon's weight and a register for each layer."""
+        return tuple((d.dr.zeros(d.Float, lanes), Register.start(d, lanes)) for _ in range(self.layers))
 
     def step(self, d: Device, state: Any, step: Step) -> Any:
         """Add to the layer the photon is in."""
         return tuple(
-            (d.dr.select(here, photon + step.absorbed, photon), s1, s2)
-            for here, (photon, s1, s2) in zip(step.inside, state, strict=True)
+            (d.dr.select(here, photon + step.absorbed, photon), sums)
+            for here, (photon, sums) in zip(step.inside, state, strict=True)
         )
 
     def end(self, d: Device, state: Any, end: End) -> Any:
         """Close the photon's account."""
         return tuple(
-            (d.dr.select(end.done, 0.0, photon), *_add(d, (s1, s2), end.done, photon)) for photon, s1, s2 in state
+            (d.dr.select(end.done, 0.0, photon), Register.add(d, sums, end.done, photon)) for photon, sums in state
         )
 
     def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
         """(W, L)."""
-        total = np.stack([_by_wavelength(s1, wavelengths) for _, s1, _ in state], axis=1)
-        squares = np.stack([_by_wavelength(s2, wavelengths) for _, _, s2 in state], axis=1)
+        parts = [Register.moments(sums, wavelengths, samples) for _, sums in state]
+        total, squares = np.stack([m.total for m in parts], 1), np.stack([m.squares for m in parts], 1)
         return {"absorbed": Moments(samples, total, squares)}
 
 
