@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from livlab.runs import Progress, Silent
+from livlab.runs_work import Progress, Silent
 
 
 class BarProgress:

@@ -22,7 +22,7 @@ from livlab.study import spectral_tables as tables
 from livlab.study.spectral_claims import Known, judge, load_reference, normalise_as, points, processed
 
 if TYPE_CHECKING:
-    from livlab.runs import Run
+    from livlab.runs_work import Run
 
 SAVE_EVERY_SECONDS = 5.0
 """A reading under way is saved this often, so that a killed process loses little."""
