@@ -13,14 +13,18 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from livlab.units import FloatArray
 
-SAME_INDEX = 1e-12
-"""Indices closer than this, relatively, are one: no interface between them."""
+SAME_INDEX = 1e-9
+"""Indices closer than this, relatively, are one: what they do to fluxes is of the same size, 1e-9."""
+
+_NEAR = 0.1
+"""Two indices are near if light at grazing incidence passes between them at a cosine below this."""
 
 
 @lru_cache(maxsize=256)
@@ -61,27 +65,28 @@ class Grid:
     counts
         Nodes in each interval.
     beam
-        The beam's transverse sine n sinθ₀; its node has no weight of its own.
+        Index of the medium that the beam comes from and its cosine there; its node has no weight.
     """
 
     breaks: tuple[float, ...]
     counts: tuple[int, ...]
-    beam: float
+    beam: tuple[float, float]
 
     @classmethod
-    def of(cls, indices: Iterable[float], nodes: int, beam: float) -> Grid:
+    def of(cls, indices: Iterable[float], nodes: int, beam: tuple[float, float]) -> Grid:
         """Break at every index; a narrow interval gets fewer nodes than the `nodes` of a wide one."""
         breaks: list[float] = []
         for n in sorted(indices):
             if not breaks or n > breaks[-1] * (1.0 + SAME_INDEX):
                 breaks.append(float(n))
+        breaks = _graded(breaks)
         counts, low = [], 0.0
         for high in breaks:
             # Widest view of the interval: in the rarest medium that holds it, it ends at 90°.
-            angle = math.acos(low / high)
-            counts.append(max(4, math.ceil(nodes * min(1.0, math.sqrt(angle / math.radians(45.0))))))
+            wide = math.acos(low / high) > 0.5
+            counts.append(max(4, nodes if wide else math.ceil(0.75 * nodes)))
             low = high
-        return cls(tuple(breaks), tuple(counts), float(beam))
+        return cls(tuple(breaks), tuple(counts), beam)
 
     @property
     def size(self) -> int:
@@ -92,10 +97,16 @@ class Grid:
         """The break that stands for the index n."""
         return min(self.breaks, key=lambda b: abs(b - n))
 
+    def beam_cosine(self, n: float) -> float | None:
+        """The beam's cosine in a medium of index n, or None where it cannot go."""
+        origin, mu = self.beam
+        squared = ((n - origin) * (n + origin) + (origin * mu) ** 2) / (n * n)
+        return math.sqrt(squared) if squared > 1e-20 else None
+
     def active(self, n: float) -> NDArray[np.intp]:
         """Indices of the nodes that travel in a medium of index n (a break)."""
         held = sum(c for b, c in zip(self.breaks, self.counts, strict=True) if b <= n)
-        first = 0 if self.beam < n * (1.0 - SAME_INDEX) else 1
+        first = 1 if self.beam_cosine(n) is None else 0
         return np.arange(first, held + 1)
 
     def flux(self) -> FloatArray:
@@ -109,14 +120,34 @@ class Grid:
 
     def cosines(self, n: float) -> FloatArray:
         """Cosines in a medium of index n of the nodes it holds, in the order of `active`."""
-        beam = [] if self.beam >= n * (1.0 - SAME_INDEX) else [[math.sqrt((1 - self.beam / n) * (1 + self.beam / n))]]
-        parts = [np.asarray(x) for x in beam]
+        beam = self.beam_cosine(n)
+        parts = [] if beam is None else [np.array([beam])]
         low = 0.0
         for high, count in zip(self.breaks, self.counts, strict=True):
             if high <= n:
                 parts.append(interval_cosines(n, low, high, gauss_legendre(count)[0]))
             low = high
         return np.concatenate(parts)
+
+
+def _graded(breaks: list[float]) -> list[float]:
+    """Further breaks where two indices nearly match.
+
+    In the denser medium the cosine is then √(ε² + c²), c that in the rarer one: almost a corner, which
+    intervals that grow geometrically from ε resolve.
+    """
+    graded: list[float] = []
+    low = 0.0
+    for b, denser in pairwise(breaks):
+        epsilon = math.sqrt((denser - b) * (denser + b)) / denser
+        widest = math.sqrt((b - low) * (b + low)) / b
+        cuts, c = [], 4.0 * epsilon
+        while epsilon < _NEAR and c < 0.5 * widest:
+            cuts.append(b * math.sqrt((1.0 - c) * (1.0 + c)))
+            c *= 8.0
+        graded += [*reversed(cuts), b]
+        low = b
+    return [*graded, *breaks[-1:]]
 
 
 def interval_cosines(n: float, low: float, high: float, t: FloatArray) -> FloatArray:
@@ -139,7 +170,8 @@ def legendre_table(grid: Grid, n: float, order: int) -> FloatArray:
     rule; for the beam, V[l] = P_l(µ₀). With them Σ_l (l + ½) χ_l V_li V_lj is the phase function
     averaged over both nodes' solid angles, however peaked it is.
     """
-    blocks = [] if grid.beam >= n * (1.0 - SAME_INDEX) else [(grid.cosines(n)[:1], np.ones((1, 1)))]
+    beam = grid.beam_cosine(n)
+    blocks = [] if beam is None else [(np.array([beam]), np.ones((1, 1)))]
     low = 0.0
     for high, count in zip(grid.breaks, grid.counts, strict=True):
         if high <= n:
