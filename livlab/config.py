@@ -98,12 +98,10 @@ def load_experiment(path: Path | str) -> Experiment:
 def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
     r"""Check the text of an experiment file.
 
-    >>> parse_experiment('schema = 1\nkind = "spectral"\nnme = "x"', source="a.toml")
+    >>> parse_experiment('schema = 1\nkind = "spectrel"', source="a.toml")
     Traceback (most recent call last):
         ...
-    livlab.errors.ConfigError: a.toml: 2 troubles:
-      name: the key is missing. Add it.
-      line 3: nme = 'x': unknown key. Did you mean 'name'?
+    livlab.errors.ConfigError: a.toml: kind = 'spectrel': must be one of spectral. Did you mean 'spectral'?
     """
     try:
         data = tomllib.loads(text)

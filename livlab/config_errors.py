@@ -18,6 +18,7 @@ _MOST = 8
 _BARE = r"[A-Za-z0-9_-]+"
 _KEY = rf'(?:{_BARE}|"[^"\n]*"|\'[^\'\n]*\')'
 _HEADER = re.compile(rf"^\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?")
+_INNER = re.compile(r"^([A-Za-z_]\w*(?:\[\d+\]|\.[A-Za-z_]\w*)*)(?= = )")
 _ASSIGN = re.compile(rf"^\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=")
 
 
@@ -28,8 +29,11 @@ def explain(
     lines = locate(text)
     found: list[tuple[str, str]] = []
     for item in error.errors(include_url=False):
-        path = _path_in(item["loc"], data)
+        path = _path_in(item["loc"], data, absent=item["type"] == "missing")
         message, remedy = _one(dict(item), path, data, schema)
+        cause = (item.get("ctx") or {}).get("error")
+        if isinstance(cause, LivlabError):
+            path, message = _named(path, cause.message, data)
         line = _line_of(path, lines)
         entry = (f"line {line}: {message}" if line else message, remedy)
         if entry not in found:
@@ -143,8 +147,8 @@ def _line_of(path: Path, lines: dict[Path, int]) -> int:
     return 0
 
 
-def _path_in(loc: Path, data: Any) -> Path:
-    """The path as the file has it: pydantic's own marks (a union's tag, a validator's name) left out."""
+def _path_in(loc: Path, data: Any, *, absent: bool) -> Path:
+    """The path as the file has it (an absent key last): pydantic's own marks, a union's tag for one, left out."""
     path: Path = ()
     here = data
     for position, part in enumerate(loc):
@@ -154,9 +158,30 @@ def _path_in(loc: Path, data: Any) -> Path:
         )
         if inside:
             path, here = (*path, part), here[part]
-        elif last and isinstance(here, dict) and isinstance(part, str) and re.fullmatch(r"\w+", part):
+        elif absent and last:
             path = (*path, part)
     return path
+
+
+def _named(path: Path, message: str, data: Any) -> tuple[Path, str]:
+    """Path and message of an error of livlab's own, which may begin with the name of a key below the path."""
+    here = data
+    for part in path:
+        here = here[part]
+    inner: Path = ()
+    if begins := _INNER.match(message):
+        for key, number in re.findall(r"([A-Za-z_]\w*)|\[(\d+)\]", begins[1]):
+            part = key or int(number)
+            try:
+                here = here[part]
+            except (LookupError, TypeError):
+                break
+            inner = (*inner, part)
+        else:
+            return (*path, *inner), dotted((*path, *inner)) + message[begins.end(1) :]
+        if path and begins[1] == path[-1]:
+            return path, dotted(path) + message[begins.end(1) :]
+    return (*path, *inner), f"{dotted(path)}: {message}" if path else message
 
 
 def _one(item: dict[str, Any], path: Path, data: Any, schema: dict[str, Any]) -> tuple[str, str]:
@@ -164,7 +189,7 @@ def _one(item: dict[str, Any], path: Path, data: Any, schema: dict[str, Any]) ->
     name = dotted(path) or "experiment"
     cause = ctx.get("error")
     if isinstance(cause, LivlabError):
-        return (f"{name}: {cause.message}" if path else cause.message), cause.remedy
+        return cause.message, cause.remedy
     if kind == "missing":
         return f"{name}: the key is missing.", "Add it."
     shown = repr(item.get("input"))

@@ -89,7 +89,7 @@ def trouble(text: str) -> ConfigError:
         ("title = 3", "a.toml, line 1: title = 3: must be a valid string.", "Give a string."),
         (
             "part = [\n {name='a', share=0.7},\n {name='b', share=0.7},\n]",
-            "a.toml: part = 1.4: the shares must add up to at most 1.",
+            "a.toml, line 1: part = 1.4: the shares must add up to at most 1.",
             "Lower one.",
         ),
     ],
