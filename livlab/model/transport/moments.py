@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,13 +41,7 @@ class Moments:
         return known[1]
 
     def _ask(self, phase: Phase) -> FloatArray:
-        ask = min(32, self.highest)
-        while True:
-            chi = np.asarray(phase.legendre(ask), dtype=np.float64)
-            last = int(np.flatnonzero(np.abs(chi) > self.negligible)[-1])
-            if last <= 0.75 * ask or ask == self.highest:
-                return chi[: last + 1]
-            ask = min(2 * ask, self.highest)
+        return (_kept if isinstance(phase, Hashable) else _asked)(phase, self.highest, self.negligible)
 
     def layer(self, parts: list[tuple[float, Phase]]) -> tuple[float, FloatArray]:
         """Scattering that is left and moments of a mixture; a peak beyond the highest order counts as unscattered."""
@@ -60,6 +56,20 @@ class Moments:
             self.worst_peak = max(self.worst_peak, peak)
             return scattering * (1 - peak), (chi[:-1] - peak) / (1 - peak)
         return scattering, chi
+
+
+def _asked(phase: Phase, highest: int, negligible: float) -> FloatArray:
+    """Moments until they stay below `negligible`, at most up to `highest`."""
+    ask = min(32, highest)
+    while True:
+        chi = np.asarray(phase.legendre(ask), dtype=np.float64)
+        last = int(np.flatnonzero(np.abs(chi) > negligible)[-1])
+        if last <= 0.75 * ask or ask == highest:
+            return chi[: last + 1]
+        ask = min(2 * ask, highest)
+
+
+_kept = lru_cache(maxsize=512)(_asked)
 
 
 def medium(layer: PlaneLayer, index: int, n: float, moments: Moments) -> Medium:
