@@ -6,6 +6,7 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
@@ -41,7 +42,10 @@ class Moments:
         return known[1]
 
     def _ask(self, phase: Phase) -> FloatArray:
-        return (_kept if isinstance(phase, Hashable) else _asked)(phase, self.highest, self.negligible)
+        try:
+            return _kept(cast(Hashable, phase), self.highest, self.negligible)
+        except TypeError:  # a phase function that cannot be a key
+            return _asked(phase, self.highest, self.negligible)
 
     def layer(self, parts: list[tuple[float, Phase]]) -> tuple[float, FloatArray]:
         """Scattering that is left and moments of a mixture; a peak beyond the highest order counts as unscattered."""
