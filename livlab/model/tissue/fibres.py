@@ -8,8 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from livlab.model.tissue.cylinder import cylinder_mean
 from livlab.model.tissue.elements import Fibre
+from livlab.model.tissue.mie import mie, mie_phase, size_parameter
 from livlab.model.tissue.phase import Rayleigh
+from livlab.model.tissue.rayleigh import SIZE_LIMIT, rayleigh_efficiency
 from livlab.model.tissue.setting import Setting, scatterer
 from livlab.model.tissue.spectra import refractive_index
 from livlab.model.tissue.stack import Interaction, Phase
@@ -39,8 +42,6 @@ def fibre(name: str, element: Fibre, setting: Setting) -> Interaction:
     printed = element.law == "rayleigh"
     n = refractive_index(element.index, wavelength, setting.note)
     m = n if printed and reading.elastin_index == "absolute" else n / medium
-    from livlab.model.tissue.mie import size_parameter
-
     x = size_parameter(um_to_mm(0.5 * element.diameter_um), wavelength, medium)
     if printed and reading.small_fibre_law == "rayleigh":
         law = "rayleigh"
@@ -63,16 +64,10 @@ def fibre(name: str, element: Fibre, setting: Setting) -> Interaction:
 def _efficiency(law: str, m: bytes, x: bytes) -> FloatArray:
     index, size = np.frombuffer(m), np.frombuffer(x)
     if law == "rayleigh":
-        from livlab.model.tissue.rayleigh import rayleigh_efficiency
-
         q = np.asarray(rayleigh_efficiency(index, size), dtype=float)
     elif law == "sphere":
-        from livlab.model.tissue.mie import mie
-
         q = np.asarray(mie(index, size).q_sca, dtype=float)
     else:
-        from livlab.model.tissue.cylinder import cylinder_mean
-
         q = np.asarray(cylinder_mean(index, size).q_sca, dtype=float)
     q.setflags(write=False)
     return q
@@ -84,8 +79,6 @@ def _phases(law: str, m: bytes, x: bytes) -> tuple[Phase, ...]:
     if law == "rayleigh":
         return (Rayleigh(),) * len(index)
     if law == "sphere":
-        from livlab.model.tissue.mie import mie_phase
-
         return tuple(mie_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
     from livlab.model.tissue.cylinder import cylinder_phase
 
@@ -101,5 +94,5 @@ def _warn_about_fibre(name: str, law: str, q: FloatArray, x: FloatArray, setting
             if law == "rayleigh"
             else f"{name}: scattering efficiency up to {top:.3g}, beyond what a fibre can have."
         )
-    elif law == "rayleigh" and float(x.max()) > 0.2 * math.pi:
+    elif law == "rayleigh" and float(x.max()) > SIZE_LIMIT:
         setting.note(f"{name}: Rayleigh's law at size parameter up to {float(x.max()):.2g}; it asks for r < λ/10.")

@@ -77,6 +77,9 @@ class Reading(BaseModel):
     elastin_refractive_index: Annotated[float, AfterValidator(_one_of(1.5, 1.534))] = _number(
         1.5, 1.534, default=1.534, text="η of elastin: 1.5 (Table 7.1) or 1.534 (prose)."
     )
+    fibre_hydration: Literal["dry", "hydrated"] = Field(
+        "dry", description="Index of the fibres: as tabled (dry), or hydrated as in living tissue (1.43)."
+    )
     lipid_bile: Literal["table", "prose"] = Field(
         "table", description="Lipid and bile: 0.019 of lipid+water and 0.039 (table), or 3.9 % and 1.9 % (prose)."
     )
@@ -212,6 +215,12 @@ _ROWS: tuple[Row, ...] = (
     Row(4, "elastin_index", "eq. 6.8: absolute η", "must be η/η_med; as printed Q reaches about 70"),
     Row(5, "small_fibre_law", "Rayleigh for d = 0.5 µm", "the text itself asks for r < λ/10; x is about 4"),
     Row(6, "elastin_refractive_index", "1.534 in the prose, 1.5 in Table 7.1", "two values"),
+    Row(
+        None,
+        "fibre_hydration",
+        "Table 7.1: η of 1.5 in water",
+        "that of dry fibres; hydrated collagen has 1.43, dry 1.53 (Wang 1996, 850 nm)",
+    ),
     Row(
         7,
         "lipid_bile",
