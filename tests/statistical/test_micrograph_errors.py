@@ -49,7 +49,7 @@ def block_error(size, edge, radius, fraction):
 
 def test_counting_error_of_random_discs():
     """60 fields of 256², radius 5, 20 %: the scatter is known to 9 %; the mean of 60 estimates of 15 degrees of
-    freedom each to 2.4 %. A binomial of the pixel count is seven times too small and would fail at once.
+    freedom each to 2.4 %. A binomial of the pixel count is eight times too small and would fail at once.
     """
     rng = np.random.default_rng(8)
     size, radius, fraction, fields = 256, 5.0, 0.2, 60
