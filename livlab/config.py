@@ -82,8 +82,20 @@ KINDS: dict[str, Kind] = {
 """Every kind of experiment that a file can ask for with `kind = "…"`."""
 
 
+def builtin_experiments() -> dict[str, Path]:
+    """The experiments that come with livlab, by name: inside the installed package, or beside it in a source tree.
+
+    >>> "spectral" in builtin_experiments()
+    True
+    """
+    package = Path(__file__).resolve().parent
+    folders = (package / "_data" / "experiments", package.parent / "experiments")
+    folder = next((f for f in folders if f.is_dir()), folders[0])
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
 def load_experiment(path: Path | str) -> Experiment:
-    """Read, check and return an experiment file.
+    """Read, check and return an experiment file, or one of livlab's own by its bare name.
 
     Raises
     ------
@@ -92,6 +104,8 @@ def load_experiment(path: Path | str) -> Experiment:
         names the file, the line, the key's full path, the value and the bound; the remedy says how to mend it.
     """
     path = Path(path)
+    if not path.exists() and path.name == str(path):
+        path = builtin_experiments().get(path.name, path)
     return parse_experiment(_read(path), source=str(path))
 
 
@@ -144,7 +158,8 @@ def _read(path: Path) -> str:
         if path.is_dir():
             raise ConfigError(f"{path} is a directory.", remedy=remedy)
         if not path.exists():
-            near = nearest(path.name, [x.name for x in path.parent.glob("*.toml")]) if path.parent.is_dir() else ""
+            known = [x.name for x in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+            near = nearest(path.name, [*known, *builtin_experiments()])
             raise ConfigError(f"{path}: no such file.", remedy=near or remedy)
         if not path.is_file():
             raise ConfigError(f"{path} is not a regular file.", remedy=remedy)

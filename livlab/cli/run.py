@@ -27,9 +27,13 @@ def register(app: typer.Typer) -> None:
 
 
 def run(
-    files: Annotated[list[Path], typer.Argument(help="Experiment files (TOML).", metavar="FILE...")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="Experiment files (TOML), or names of livlab's own, e.g. spectral.", metavar="FILE..."),
+    ],
     force: Annotated[bool, typer.Option("--force", help="Run again even if the result is there.")] = False,
     out: Annotated[Path, typer.Option("--out", help="Folder that holds the run folders.")] = Path("runs"),
+    no_report: Annotated[bool, typer.Option("--no-report", help="Leave the report for later (livlab report).")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the report's path.")] = False,
 ) -> None:
     """Run experiments: simulate, measure, compare, report. What is done already is found, not done again."""
@@ -42,7 +46,9 @@ def run(
         command = shlex.join(["livlab", "run", str(file), *(["--out", str(out)] if out != Path("runs") else [])])
         try:
             with watched(experiment.title or experiment.name, quiet=quiet) as progress:
-                outcome = execute(experiment, base=out, force=force, command=command, progress=progress)
+                outcome = execute(
+                    experiment, base=out, force=force, command=command, progress=progress, report=not no_report
+                )
         except KeyboardInterrupt:
             raise Interrupted("Stopped.", remedy=f"To go on: {command}") from None
         except Interrupted as stopped:

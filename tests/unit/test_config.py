@@ -174,6 +174,18 @@ def test_a_file_that_cannot_be_read_is_told(prepare: object, message: str, remed
     assert remedy in caught.value.remedy
 
 
+def test_an_experiment_of_livlabs_own_is_found_by_its_name_and_a_file_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_experiment("spectral").name == "spectral"
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("spectrl")
+    assert caught.value.remedy == "Did you mean 'spectral'?"
+    Path("spectral").write_text(GOOD)
+    assert load_experiment("spectral").name == "small"
+
+
 def test_windows_line_ends_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
     path = tmp_path / "small.toml"
     path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
