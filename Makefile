@@ -3,7 +3,11 @@
 .PHONY: help setup report test test-all check bench clean
 
 BIN := .venv/bin
-PYTEST ?= $(BIN)/python -m pytest
+PYTEST := $(BIN)/python -m pytest
+# Two workers: most tests keep one core busy (set-up, compiling, Mie, files). More would not help, since each worker's
+# Dr.Jit takes every core for its kernels. Whole files go to one worker, so what a file computes once is not repeated.
+WORKERS ?= -n 2 --dist loadfile
+TESTS ?= tests
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -15,10 +19,10 @@ report: setup ## simulate liver tissue, measure it, compare it, write the HTML r
 	@$(BIN)/livlab run experiments/spectral.toml
 
 test: setup ## the tests that take minutes
-	$(PYTEST)
+	$(PYTEST) $(WORKERS) $(TESTS)
 
 test-all: setup ## those, and the slow ones
-	$(PYTEST) -m ""
+	$(PYTEST) $(WORKERS) -m "" $(TESTS)
 
 check: setup ## lint, formatting, types, doctests, architecture, the installed wheel
 	$(BIN)/ruff check .
