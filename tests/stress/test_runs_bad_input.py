@@ -152,9 +152,7 @@ def test_a_run_that_is_there_is_found_in_an_instant(place: Path) -> None:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert "Done before" in done.stdout
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 1.5
-    modules = (
-        "import sys; from livlab.cli import app; app(['run', 'bad.toml'], standalone_mode=False); print(*sys.modules)"
-    )
+    modules = "import sys; from livlab.cli import app; app(['run', '--no-report', 'bad.toml'], standalone_mode=False); print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", modules], cwd=place, env=environment(place), capture_output=True, text=True, check=True
     ).stdout.split()
@@ -196,6 +194,7 @@ def test_ctrl_c_keeps_what_is_done_and_the_next_call_goes_on(place: Path) -> Non
     assert not (folder / ".pieces").exists()
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on(place: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", MAIN, "run", "--no-report", "bad.toml"],
@@ -212,6 +211,7 @@ def test_a_killed_run_goes_on(place: Path) -> None:
     assert "thesis: 100%, 0.0 s (as saved)" in again.stderr
 
 
+@pytest.mark.slow
 def test_two_processes_on_one_folder_do_not_mix(place: Path) -> None:
     both = [
         subprocess.Popen(
@@ -285,6 +285,7 @@ main()
 
 
 @needs_mount
+@pytest.mark.slow
 def test_a_disk_that_fills_up_leaves_nothing_half_written_and_the_run_goes_on(place: Path, disk: Path) -> None:
     ballast, runs = disk / "ballast", disk / "runs"
     done = subprocess.run(
