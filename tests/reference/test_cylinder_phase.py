@@ -1,0 +1,54 @@
+"""The cylinders' phase function against the amplitudes summed directly on a grid of ζ and φ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from livlab.errors import InputError
+from livlab.model.tissue.cylinder import bessel_pair, cylinder_mean
+from livlab.model.tissue.cylinder_kernels import coefficient_table
+from livlab.model.tissue.cylinder_phase import cylinder_phase
+
+CASES = [(1.5 / 1.35, 5.0), (1.5 / 1.35, 22.7), (1.534 / 1.35, 4.2), (1.5, 0.1), (1.5 - 0.1j, 10.0), (0.75, 8.0)]
+
+
+def direct(m: complex, x: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines of the scattering angle and their weights, from |T|² at midpoints of ζ and φ."""
+    zeta = (np.arange(600) + 0.5) / 600 * np.pi / 2
+    phi = (np.arange(7200) + 0.5) / 7200 * 2 * np.pi
+    inside = np.conj(complex(m))
+    sine, cosine = np.sin(zeta), np.cos(zeta)
+    b1, a1, a2 = coefficient_table((inside - 1) * (inside + 1), x, sine, cosine, bessel_pair(x * sine))
+    n = np.arange(1, b1.shape[1])
+    even, odd = 2 * np.cos(np.outer(n, phi)), 2j * np.sin(np.outer(n, phi))
+    t1 = b1[:, :1] + b1[:, 1:] @ even
+    t2 = a2[:, :1] + a2[:, 1:] @ even
+    t3 = a1[:, 1:] @ odd
+    f = abs(t1) ** 2 + abs(t2) ** 2 + 2 * abs(t3) ** 2
+    mu = cosine[:, None] ** 2 + sine[:, None] ** 2 * np.cos(phi)
+    w = f * sine[:, None]
+    return mu.ravel(), (w / w.sum()).ravel()
+
+
+@pytest.mark.parametrize(("m", "x"), CASES)
+def test_shares_and_moments_are_those_of_the_amplitudes(m: complex, x: float) -> None:
+    mu, weight = direct(m, x)
+    phase = cylinder_phase(m, x)
+    for edge in (0.999, 0.99, 0.9, 0.5, 0.0, -0.5):
+        assert float(phase.cdf(np.array([edge]))[0]) == pytest.approx(weight[mu <= edge].sum(), abs=3e-4)
+    for order in (1, 2, 5):
+        p = np.polynomial.Legendre.basis(order)(mu)
+        assert phase.legendre(order)[order] == pytest.approx((weight * p).sum(), abs=3e-4)
+
+
+@pytest.mark.parametrize(("m", "x"), CASES)
+def test_anisotropy_is_that_of_the_coefficients(m: complex, x: float) -> None:
+    assert cylinder_phase(m, x).anisotropy == pytest.approx(float(cylinder_mean(m, x).anisotropy), abs=1e-4)
+
+
+def test_bad_arguments_are_named() -> None:
+    with pytest.raises(InputError, match="cells = 3"):
+        cylinder_phase(1.1, 5.0, cells=3)
+    with pytest.raises(InputError, match="must be scalars"):
+        cylinder_phase([1.1, 1.2], 5.0)  # type: ignore[arg-type]
