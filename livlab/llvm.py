@@ -23,9 +23,9 @@ from livlab.errors import EnvironmentProblem
 from livlab.llvm_probe import VARIABLE, Verdict, probe
 
 OLDEST_MAJOR = 17
-TESTED_MAJORS = (19,)
+TESTED_MAJORS = (19, 20, 18, 17)
+"""The walk met its reference values with each of these; the first is preferred."""
 
-_PREFERENCE = (19, 18, 17)
 _PATTERNS = {
     "Linux": (
         "/usr/lib/{machine}-linux-gnu/libLLVM*.so*",
@@ -82,7 +82,7 @@ def choose_libllvm() -> Path:
     """Point Dr.Jit at a libLLVM that works, before it is imported.
 
     A library named by the environment variable ``DRJIT_LIBLLVM_PATH`` is taken or refused, never replaced in silence.
-    Otherwise LLVM 19 is preferred, then 18 and 17, then newer ones. Safe to call often and from several threads.
+    Otherwise LLVM 19 is preferred, then 20, 18 and 17, then newer ones. Safe to call often and from several threads.
 
     Returns
     -------
@@ -238,8 +238,8 @@ def _glob(pattern: str) -> Iterable[Path]:
 
 def _rank(path: Path) -> tuple[int, int, str]:
     major = major_from_path(path)
-    if major in _PREFERENCE:
-        return (0, _PREFERENCE.index(major), str(path))
+    if major in TESTED_MAJORS:
+        return (0, TESTED_MAJORS.index(major), str(path))
     if major is None:
         return (2, 0, str(path))
     return (1, major, str(path)) if major >= OLDEST_MAJOR else (3, -major, str(path))
@@ -280,7 +280,7 @@ def _judge(path: Path, origin: str) -> Libllvm:
     if verdict == "good" and major is not None and major < OLDEST_MAJOR:
         return Libllvm(resolved, origin, major, "refused", _too_old(major))
     if verdict == "good" and major not in TESTED_MAJORS:
-        reason += f"; livlab's own tests ran with {', '.join(map(str, TESTED_MAJORS))} only"
+        reason += f"; livlab was tested with {', '.join(map(str, sorted(TESTED_MAJORS)))} only"
     return Libllvm(resolved, origin, major, verdict, reason)
 
 

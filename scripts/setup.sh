@@ -9,7 +9,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 readonly VENV=.venv
 readonly STAMP=$VENV/.livlab-setup
 readonly NEEDED_KIB=$((3 * 1024 * 1024))
-readonly LIBLLVM_PACKAGES="libllvm19 libllvm18 libllvm17t64 libllvm17 libllvm20 libllvm21"
+readonly LIBLLVM_PACKAGES="libllvm19 libllvm20 libllvm18 libllvm17t64 libllvm17 libllvm21"
 
 say() { printf '%s\n' "setup: $*"; }
 fail() {

@@ -145,18 +145,18 @@ def test_the_order_prefers_what_was_tested(monkeypatch, tmp_path):
     monkeypatch.setattr(llvm, "_PATTERNS", {llvm.platform.system(): (f"{tmp_path}/libLLVM*",)})
     monkeypatch.setattr(llvm.ctypes.util, "find_library", lambda _name: None)
     found = [path for path, _ in llvm._search() if path.parent == tmp_path]
-    assert [llvm.major_from_path(path) for path in found] == [19, 18, 17, 20, 21, None, 15, 14]
+    assert [llvm.major_from_path(path) for path in found] == [19, 20, 18, 17, 21, None, 15, 14]
 
 
 def test_a_refused_first_choice_makes_way_for_the_next(monkeypatch, fresh):
-    first, second = library(fresh), library(fresh, "libLLVM.so.20.1")
+    first, second = library(fresh), library(fresh, "libLLVM.so.21.1")
     monkeypatch.setattr(llvm, "_search", lambda: [(first, "here"), (second, "here")])
-    script = f'case "${VARIABLE}" in *20.1) echo probed 20 1 0;; *) echo broken >&2; exit 91;; esac'
+    script = f'case "${VARIABLE}" in *21.1) echo probed 21 1 0;; *) echo broken >&2; exit 91;; esac'
     monkeypatch.setattr(sys, "executable", interpreter(fresh, script))
     assert llvm.choose_libllvm() == second
     assert os.environ[VARIABLE] == str(second)
     assert [found.verdict for found in llvm.inspect_libllvm()] == ["good", "refused"]
-    assert "19 only" in llvm.inspect_libllvm()[0].reason
+    assert "tested with 17, 18, 19, 20 only" in llvm.inspect_libllvm()[0].reason
 
 
 def test_a_verdict_is_kept_between_processes_until_the_file_changes(monkeypatch, fresh):
