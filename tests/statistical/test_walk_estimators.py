@@ -182,7 +182,7 @@ def liver(reading_name, wavelength_nm):
 def test_both_walks_agree_on_liver(reading_name):
     """Every reading, square sample of 1 cm² under collimated light: combined standard error at most 1.5e-3."""
     beam = Source.collimated(square_half_width_mm=5.0)
-    compare(liver(reading_name, W), 1.5e-3, samples=100_000, half_width_mm=5.0, source=beam)
+    compare(liver(reading_name, W), 1.5e-3, samples=200_000, half_width_mm=5.0, source=beam)
 
 
 @pytest.mark.slow

@@ -25,21 +25,21 @@ def stack(*parts, thickness=1.0):
     return OpticalStack(np.array([500.0, 600.0]), (layer,), ONE, 1.5 * ONE)
 
 
-def test_expected_sums_rates_and_merges_scatterers():
+def test_expected_sums_rates_and_merges_what_scatters_alike():
     t = tables(
         stack(
             Interaction("a", 1.0 * ONE, 0 * ONE, ISO),
             Interaction("b", np.array([2.0, 0.0]), ONE, HG),
             Interaction("c", 1.0 * ONE, 0.5 * ONE, RAY),
+            Interaction("d", 2.0 * ONE, ONE, (HenyeyGreenstein(0.9), HenyeyGreenstein(0.9))),
         ),
         "expected",
     )
-    assert t.shape.ways == 1
-    assert t.mfp[0, 0] == pytest.approx([1 / 4, 1 / 2])
-    assert t.survive[0, 0] == pytest.approx([2.5 / 4, 0.5 / 2])
-    # The mixture is a table where both scatter, and the one left where the other is absent.
-    assert t.kind[0, 0].tolist() == [TABULATED, RAYLEIGH]
-    assert t.shape.kinds == (RAYLEIGH, TABULATED)
+    assert t.shape.ways == 2
+    assert t.mfp[0, 0] == pytest.approx([1 / 6, 1 / 4])
+    assert t.survive[0] == pytest.approx(np.array([[4 / 6, 2 / 4], [0.5 / 6, 0.5 / 4]]))
+    assert t.kind[0].tolist() == [[HENYEY_GREENSTEIN] * 2, [RAYLEIGH] * 2]
+    assert t.shape.kinds == (RAYLEIGH, HENYEY_GREENSTEIN)
 
 
 def test_factors_and_short_paths_keep_ways_apart():

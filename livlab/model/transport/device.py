@@ -36,7 +36,6 @@ class Device:
     Int32: Any
     Int64: Any
     Bool: Any
-    Array4f: Any
     PCG32: Any
 
     def load(self, kind: Any, values: Any) -> Any:
@@ -85,6 +84,5 @@ def device(variant: Variant) -> Device:
         backend.Int32,
         backend.Int64,
         backend.Bool,
-        backend.Array4f,
         backend.PCG32,
     )

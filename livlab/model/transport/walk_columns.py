@@ -58,18 +58,15 @@ class Columns:
             contrast[name] = [self.each((1.0 - x) * (1.0 + x)) for x in eta]
         self.eta, self.contrast = ratio, contrast
         self.mfp = [[self.each(x) for x in layer] for layer in t.mfp]
-        first = (slice(None), 0)
-        self.survive = [self.each(x) for x in t.survive[first]]
-        self.below = [self.one(x) for x in t.below[first]]
-        self.kind = [self.each(x, d.UInt32) for x in t.kind[first]]
-        self.g = [self.each(x) for x in t.g[first]]
-        self.offset = [self.each(x, d.UInt32) for x in t.offset[first]]
-        means = REDIRECT_MEAN if not settings.space else FOCUS
-        self.focus = [self.one(abs(means[REDIRECTS[k]])) for k in t.redirect[first]]
-        self.redirect = [self.one(k, d.UInt32) for k in t.redirect[first]]
+        self.survive = self._ways(t.survive)
+        self.kind, self.g, self.offset = self._ways(t.kind, d.UInt32), self._ways(t.g), self._ways(t.offset, d.UInt32)
+        means = FOCUS if settings.space else REDIRECT_MEAN
+        focus = np.abs([means[name] for name in REDIRECTS])[t.redirect]
+        self.below = [[self.one(x) for x in way] for way in t.below.T]
+        self.focus = [[self.one(x) for x in way] for way in focus.T]
+        self.redirect = [[self.one(x, d.UInt32) for x in way] for way in t.redirect.T]
         self.table = d.load(d.Float, t.table)
-        self.rows, self.codes = self._packed(means)
-        dr.make_opaque(self.wavelength, self.rank, self.table, self.rows, self.codes)
+        dr.make_opaque(self.wavelength, self.rank, self.table)
 
     def one(self, value: float, kind: Any = None) -> Any:
         """One number for all lanes, as data: another value uses the same kernel."""
@@ -81,12 +78,6 @@ class Columns:
         kind = kind or self.d.Float
         return self.d.dr.gather(kind, self.d.load(kind, values), self.wavelength)
 
-    def _packed(self, means: Any) -> tuple[Any, Any]:
-        """Rows (survive, below, g, focus) and codes (kind, redirect, offset) by wavelength, layer and way."""
-        t = self.t
-        wide = t.survive.shape
-        focus = np.abs([means[name] for name in REDIRECTS])[t.redirect]
-        parts = [t.survive, np.broadcast_to(t.below[..., None], wide), t.g, np.broadcast_to(focus[..., None], wide)]
-        rows = np.stack(parts, axis=-1).transpose(2, 0, 1, 3)
-        codes = (t.kind | (t.redirect[..., None] << 2) | (t.offset << 4)).transpose(2, 0, 1)
-        return self.d.load(self.d.Float, rows), self.d.load(self.d.UInt32, codes)
+    def _ways(self, values: NDArray[Any], kind: Any = None) -> list[list[Any]]:
+        """(L, ways, W) numbers as a list over ways of lists over layers."""
+        return [[self.each(x, kind) for x in way] for way in values.transpose(1, 0, 2)]

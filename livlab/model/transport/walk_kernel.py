@@ -142,7 +142,7 @@ class _Walk:
             side = dr.maximum(dr.abs(place[0]), dr.abs(place[1])) > self.half_width
             met &= ~side
 
-        way = self._way(stream, p, inside, winner, free)
+        way = self._way(stream, inside, winner, free)
         mu_turned, across_turned, azimuth, sign = self._turned(p, way, u, azimuth_bits)
         weight, absorbed, loss = self._survival(stream, p.weight, way, free, azimuth, sign)
 
@@ -228,27 +228,33 @@ class _Walk:
                 best, winner = dr.select(nearer, drawn, best), dr.select(nearer, d.UInt32(e), winner)
         return best, winner
 
-    def _way(self, stream: Any, p: Photon, inside: Sequence[Any], winner: Any, free: Any) -> Way:
+    def _way(self, stream: Any, inside: Sequence[Any], winner: Any, free: Any) -> Way:
         """The element met, or the way of scattering chosen by its share of what survives."""
         d, dr, c, count = self.d, self.dr, self.c, self.shape.ways
-        if count == 1:
-            lists = (c.survive, c.below, c.kind, c.g, c.offset, c.focus, c.redirect)
-            return Way(*(self._pick(inside, x) for x in lists))
-        start = (c.wavelength * self.shape.layers + p.layer) * count
+
+        def chosen(columns: Sequence[Sequence[Any]]) -> Any:
+            value = self._pick(inside, columns[0])
+            for k in range(1, count):
+                value = dr.select(winner == k, self._pick(inside, columns[k]), value)
+            return value
+
         total = None
-        if not self.analog:
-            rows = [dr.gather(d.Array4f, c.rows, start + k) for k in range(count)]
-            shares = [dr.select(free >= r[1], r[0], 0.0) if self.shape.short else r[0] for r in rows]
+        if not self.analog and count > 1:
+            shares = [self._pick(inside, x) for x in c.survive]
+            if self.shape.short:
+                shares = [
+                    dr.select(free >= self._pick(inside, x), share, 0.0)
+                    for x, share in zip(c.below, shares, strict=True)
+                ]
             total = sum(shares[1:], shares[0])
             left = random.uniform(d, stream.next_uint32()) * total
             winner, passed = d.UInt32(0), shares[0]
             for k in range(1, count):
                 winner = dr.select(left >= passed, d.UInt32(k), winner)
                 passed = passed + shares[k]
-        row = dr.gather(d.Array4f, c.rows, start + winner)
-        code = dr.gather(d.UInt32, c.codes, start + winner)
-        survive = row[0] if total is None else total
-        return Way(survive, row[1], code & 3, row[2], code >> 4, row[3], (code >> 2) & 3)
+        survive = chosen(c.survive) if total is None else total
+        columns = (c.below, c.kind, c.g, c.offset, c.focus, c.redirect)
+        return Way(survive, *(chosen(x) for x in columns))
 
     def _turned(self, p: Photon, way: Way, u: Any, bits: Any) -> tuple[Any, Any, Any, Any]:
         """New direction, the cosine of its azimuth in the sample's frame, and the sign a drawn factor carries."""

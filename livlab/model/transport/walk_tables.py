@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh, kernel_table, mixture
-from livlab.model.tissue.stack import REDIRECT_MEAN, Interaction, OpticalStack, Phase, PlaneLayer, Redirect
+from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh, kernel_table
+from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, Phase, PlaneLayer, Redirect
 from livlab.units import FloatArray
 
 Estimator = Literal["expected", "analog"]
@@ -115,7 +116,7 @@ class Tables:
 
 @dataclass(frozen=True)
 class _Way:
-    """One thing that can happen in a layer: elements that share a redirect factor and a shortest free path."""
+    """One thing that can happen in a layer: an element, or all that scatter alike."""
 
     survive: FloatArray
     phases: tuple[Phase, ...]
@@ -172,19 +173,28 @@ def _elements(layer: PlaneLayer) -> tuple[list[FloatArray], list[_Way]]:
 
 
 def _grouped(layer: PlaneLayer) -> tuple[list[FloatArray], list[_Way]]:
-    """Expected: the summed rate, and scatterers merged where nothing but their phase functions differs."""
+    """Expected: the summed rate, and scatterers merged where they do the same.
+
+    Unlike phase functions stay apart and are chosen by their share in the kernel: a table of every mixture,
+    one a layer and wavelength, would take longer to make than the walk.
+    """
     total = sum((i.rate for i in layer.interactions), np.zeros_like(layer.n))
-    groups: dict[tuple[int, float], list[Interaction]] = {}
+    groups: dict[tuple[int, float, tuple[Phase, ...]], FloatArray] = {}
     for i in layer.interactions:
-        if (i.rate * i.albedo).any():
-            groups.setdefault((REDIRECTS.index(i.redirect), i.absorb_below_mm), []).append(i)
+        scattering = i.rate * i.albedo
+        if scattering.any():
+            key = (REDIRECTS.index(i.redirect), i.absorb_below_mm, i.phases)
+            groups[key] = groups.get(key, np.zeros_like(total)) + scattering
     ways = []
-    for (redirect, below), parts in groups.items():
-        scattering = np.array([i.rate * i.albedo for i in parts])
-        share = np.divide(scattering.sum(0), total, out=np.zeros_like(total), where=total > 0)
-        phases = tuple(mixture([i.phases[w] for i in parts], scattering[:, w].tolist()) for w in range(total.size))
+    for (redirect, below, phases), scattering in groups.items():
+        share = np.divide(scattering, total, out=np.zeros_like(total), where=total > 0)
         ways.append(_Way(np.minimum(share, 1.0), phases, redirect, below))
     return [total], ways
+
+
+@lru_cache(maxsize=1024)
+def _table(phase: Any) -> NDArray[np.float32]:
+    return kernel_table(phase, per_octave=CELLS_PER_OCTAVE).values.ravel()
 
 
 class _Store:
@@ -207,7 +217,8 @@ class _Store:
             return (HENYEY_GREENSTEIN, phase.g, 0) if phase.g != 0.0 else (ISOTROPIC, 0.0, 0)
         if phase not in self._seen:
             self._seen[phase] = self._size
-            self._rows.append(kernel_table(phase, per_octave=CELLS_PER_OCTAVE).values.ravel())
+            hashable: Any = phase  # the protocol does not say so, every phase function of livlab is
+            self._rows.append(_table(hashable))
             self._size += self._rows[-1].size
         return TABULATED, 0.0, self._seen[phase]
 
