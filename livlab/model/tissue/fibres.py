@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from livlab.model.tissue.cylinder import cylinder_mean
 from livlab.model.tissue.elements import Fibre
 from livlab.model.tissue.mie import mie, mie_phase, size_parameter
 from livlab.model.tissue.phase import Rayleigh
@@ -68,6 +67,8 @@ def _efficiency(law: str, m: bytes, x: bytes) -> FloatArray:
     elif law == "sphere":
         q = np.asarray(mie(index, size).q_sca, dtype=float)
     else:
+        from livlab.model.tissue.cylinder import cylinder_mean
+
         q = np.asarray(cylinder_mean(index, size).q_sca, dtype=float)
     q.setflags(write=False)
     return q
@@ -80,6 +81,8 @@ def _phases(law: str, m: bytes, x: bytes) -> tuple[Phase, ...]:
         return (Rayleigh(),) * len(index)
     if law == "sphere":
         return tuple(mie_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
+    from livlab.model.tissue.cylinder_phase import cylinder_phase
+
     from livlab.model.tissue.cylinder_phase import cylinder_phase
 
     return tuple(cylinder_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
