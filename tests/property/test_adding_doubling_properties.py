@@ -100,7 +100,7 @@ def test_reciprocity_of_diffuse_transmission(layers, n_above, n_below):
     st.floats(0.1, 1.0),
 )
 def test_reciprocity_of_reflection(layers, mu_a, mu_b):
-    """The BRDF L/E is the same with light and eye exchanged (Helmholtz; von Helmholtz 1867, § 16)."""
+    """The BRDF L/E is the same with light and eye exchanged (Helmholtz)."""
     stack = plain_stack(layers)
     ab = float(exit_flux(adding_doubling(stack, mu0=mu_a, nodes=32), np.array([mu_b]))[0, 0]) / mu_b
     ba = float(exit_flux(adding_doubling(stack, mu0=mu_b, nodes=32), np.array([mu_a]))[0, 0]) / mu_a

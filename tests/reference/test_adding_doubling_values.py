@@ -30,7 +30,7 @@ def two_layers(mua_below=0.5, capsule=0.1):
 
 
 def h_function(albedo, mu):
-    """Chandrasekhar 1960, eq. V.44 iterated in the stable form 1/H = √(1 − a) + (a/2) ∫ µ'H/(µ + µ') dµ'."""
+    """Chandrasekhar 1960, ch. V, iterated in the stable form 1/H = √(1 − a) + (a/2) ∫ µ'H/(µ + µ') dµ'."""
     x, w = np.polynomial.legendre.leggauss(400)
     # t³ crowds the nodes at µ = 0, where H has its logarithm.
     t, w = 0.5 * (x + 1), 0.5 * w
@@ -110,7 +110,7 @@ def test_isotropic_half_space_is_the_h_function(albedo, printed, mu0):
 
 @pytest.mark.parametrize("mu0", [1.0, 0.3])
 def test_angles_of_an_isotropic_half_space(mu0):
-    """L(µ) = a/(4π) H(µ) H(µ₀)/(µ + µ₀) per incident flux (Chandrasekhar 1960, section 33)."""
+    """L(µ) = a/(4π) H(µ) H(µ₀)/(µ + µ₀) per incident flux (Chandrasekhar 1960, ch. V)."""
     albedo = 0.9
     mu = np.array([1.0, 0.95, 0.7, 0.4, 0.1, 0.01])
     h = h_function(albedo, np.append(mu, mu0))

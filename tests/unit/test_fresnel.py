@@ -8,6 +8,7 @@ import pytest
 
 from livlab.errors import InputError
 from livlab.model.transport.fresnel import (
+    diffuse_fresnel,
     fresnel,
     fresnel_amplitudes,
     fresnel_polarised,
@@ -53,7 +54,7 @@ def test_amplitudes_beyond_the_critical_angle_have_modulus_one_and_the_known_pha
     r_s, r_p = fresnel_amplitudes(n, 1.0, mu)
     assert abs(complex(r_s)) == pytest.approx(1, abs=1e-14)
     assert abs(complex(r_p)) == pytest.approx(1, abs=1e-14)
-    # Born & Wolf 1999, eq. 1.5.63: tan(δ/2) = √(sin²θ − n²)/cosθ and /(n² cosθ), n = n₂/n₁.
+    # Born & Wolf 1999, section 1.5.4: tan(δ/2) = √(sin²θ − n²)/cosθ and /(n² cosθ), n = n₂/n₁.
     root = math.sqrt(1 - mu**2 - 1 / n**2)
     assert abs(math.tan(np.angle(complex(r_s)) / 2)) == pytest.approx(root / mu, rel=1e-12)
     assert abs(math.tan(np.angle(complex(r_p)) / 2)) == pytest.approx(root / mu * n**2, rel=1e-12)
@@ -72,6 +73,12 @@ def test_broadcast_and_snell():
     np.testing.assert_allclose(1.5**2 * (1 - inside**2), 1 - mu**2, atol=1e-15)
     # The same light seen from the other side.
     np.testing.assert_allclose(fresnel(1.5, 1.0, inside[1:]), fresnel(1.0, 1.5, mu[1:]), rtol=1e-11)
+
+
+def test_rounding_never_makes_a_cosine_above_one():
+    rng = np.random.default_rng(1)
+    n = rng.uniform(0.8, 2.0, (2, 20_000))
+    assert refracted_cosine(n[0], n[1], 1.0).max() == 1.0
 
 
 def test_plates():
@@ -98,6 +105,26 @@ def test_plates_by_polarisation_and_total_reflection():
     assert incoherent_stack([1.5, 1.0, 1.5], 0.3) == (1.0, 0.0)
     r, t = incoherent_stack([1.4, 1.5, 1.0, 1.5], 0.3)
     assert (r, t) == (pytest.approx(1.0), 0.0)
+
+
+@pytest.mark.parametrize("n", [1.05, 1.33, 1.5, 2.4])
+def test_diffuse_light_against_the_closed_form(n):
+    """Duntley 1942 (after Walsh) for light from the rarer side, and étendue for the other."""
+    want = (
+        0.5
+        + (n - 1) * (3 * n + 1) / (6 * (n + 1) ** 2)
+        + n**2 * (n**2 - 1) ** 2 / (n**2 + 1) ** 3 * math.log((n - 1) / (n + 1))
+        - 2 * n**3 * (n**2 + 2 * n - 1) / ((n**2 + 1) * (n**4 - 1))
+        + 8 * n**4 * (n**4 + 1) / ((n**2 + 1) * (n**4 - 1) ** 2) * math.log(n)
+    )
+    assert diffuse_fresnel(1.0, n) == pytest.approx(want, abs=1e-10)
+    assert n**2 * (1 - diffuse_fresnel(n, 1.0)) == pytest.approx(1 - want, abs=1e-10)
+
+
+def test_diffuse_light_at_a_match():
+    assert diffuse_fresnel(1.4, 1.4) == 0.0
+    # A near match returns what is totally reflected, 1 − (n₂/n₁)², and little more.
+    assert 2e-6 < diffuse_fresnel(1.0 + 1e-6, 1.0) < 4e-6
 
 
 @pytest.mark.parametrize(

@@ -66,3 +66,10 @@ def test_near_indices_are_graded_and_equal_ones_merged():
     assert len(Grid.of((1.0, 1.4), 8, NORMAL).breaks) == 2
     assert len(Grid.of((1.0, 1 + 1e-6), 8, NORMAL).breaks) > 3
     assert len(Grid.of((1.0, 1 + 1e-13, 1.0), 8, NORMAL).breaks) == 1
+
+
+def test_rounding_never_makes_a_cosine_above_one():
+    rng = np.random.default_rng(2)
+    for a, b in rng.uniform(0.8, 2.0, (300, 2)):
+        grid = Grid.of((a, b), 16, (a, 1.0))
+        assert max(grid.cosines(a).max(), grid.cosines(b).max()) <= 1.0

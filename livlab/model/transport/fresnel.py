@@ -2,7 +2,7 @@
 
 Everything is written in the normal components q = n cosθ of the two wave vectors, in a form without
 cancellation, so that a match of the indices to 1e-12, grazing light and the critical angle keep their
-digits (Born & Wolf 1999, section 1.5.2–1.5.4).
+digits (Born & Wolf 1999, section 1.5).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def fresnel_amplitudes(
     """Amplitude reflection coefficients (r_s, r_p), complex beyond the critical angle.
 
     r_s = (q₁ − q₂)/(q₁ + q₂), r_p = (n₂² q₁ − n₁² q₂)/(n₂² q₁ + n₁² q₂), q = n cosθ
-    (Born & Wolf 1999, eq. 1.5.21; at normal incidence r_p = −r_s).
+    (Born & Wolf 1999, section 1.5.2; at normal incidence r_p = −r_s).
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def fresnel_polarised(n_from: ArrayLike, n_to: ArrayLike, mu: ArrayLike) -> tupl
 
 
 def fresnel(n_from: ArrayLike, n_to: ArrayLike, mu: ArrayLike) -> FloatArray:
-    """Reflectance of unpolarised light, (R_s + R_p)/2 (Nunes 2019, section 5; Born & Wolf 1999, eq. 1.5.43).
+    """Reflectance of unpolarised light, (R_s + R_p)/2 (Born & Wolf 1999, section 1.5.3).
 
     Arguments, shapes and errors as in `fresnel_amplitudes`.
 
@@ -92,7 +92,33 @@ def refracted_cosine(n_from: ArrayLike, n_to: ArrayLike, mu: ArrayLike) -> Float
     0.816497
     """
     n1, n2, c1 = _checked(n_from, n_to, mu)
-    return np.sqrt(np.maximum(_q2_squared(n1, n2, c1), 0.0)) / n2
+    return np.minimum(np.sqrt(np.maximum(_q2_squared(n1, n2, c1), 0.0)) / n2, 1.0)
+
+
+def diffuse_fresnel(n_from: float, n_to: float) -> float:
+    """Reflectance of an interface for light of equal radiance from all directions: 2 ∫ R(µ) µ dµ.
+
+    From the denser side it holds the totally reflected light; n₁² (1 − r₁₂) = n₂² (1 − r₂₁)
+    (Duntley 1942; the F_dr of Jensen et al. 2001 without their polynomial).
+
+    Raises
+    ------
+    InputError
+        An index that is not positive and finite.
+
+    >>> round(diffuse_fresnel(1.0, 1.5), 6), round(diffuse_fresnel(1.5, 1.0), 6)
+    (0.091778, 0.596346)
+    """
+    from livlab.model.transport.quadrature import SAME_INDEX, Grid
+
+    _checked(n_from, n_to, 1.0)
+    if abs(n_to - n_from) <= SAME_INDEX * n_from:
+        return 0.0
+    rare = min(n_from, n_to)
+    grid = Grid.of((n_from, n_to), 48, (rare, 1.0))
+    shared = grid.active(rare)[1:]
+    enters = grid.flux()[shared] @ (1.0 - fresnel(rare, max(n_from, n_to), grid.cosines(rare)[1:]))
+    return float(1.0 - enters / (0.5 * n_from * n_from))
 
 
 def incoherent_stack(

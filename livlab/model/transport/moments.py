@@ -78,6 +78,22 @@ _kept = lru_cache(maxsize=512)(_asked)
 
 def medium(layer: PlaneLayer, index: int, n: float, moments: Moments) -> Medium:
     """A layer's coefficients at one wavelength, the short free paths' absorption included."""
+    absorption, parts = _rates(layer, index)
+    scattering, chi = moments.layer(parts) if parts else (0.0, np.ones(1))
+    return Medium(n, layer.thickness_mm, absorption, scattering, chi)
+
+
+def reduced_coefficients(layer: PlaneLayer) -> tuple[FloatArray, FloatArray]:
+    """(W,) µ_a and µ_s' = Σ µ_s (1 − g) in 1/mm, short free paths as in `medium`."""
+    absorption, reduced = np.zeros(len(layer.n)), np.zeros(len(layer.n))
+    for k in range(len(layer.n)):
+        absorption[k], parts = _rates(layer, k)
+        reduced[k] = math.fsum(rate * (1.0 - phase.anisotropy) for rate, phase in parts)
+    return absorption, reduced
+
+
+def _rates(layer: PlaneLayer, index: int) -> tuple[float, list[tuple[float, Phase]]]:
+    """Absorption, and the scattering of each element that has any, at one wavelength."""
     extinction = math.fsum(float(i.rate[index]) for i in layer.interactions)
     absorption, parts = [], []
     for i in layer.interactions:
@@ -88,5 +104,4 @@ def medium(layer: PlaneLayer, index: int, n: float, moments: Moments) -> Medium:
         absorption.append(rate * albedo * -math.expm1(-extinction * i.absorb_below_mm))
         if rate * albedo * long_path > 0:
             parts.append((rate * albedo * long_path, i.phases[index]))
-    scattering, chi = moments.layer(parts) if parts else (0.0, np.ones(1))
-    return Medium(n, layer.thickness_mm, math.fsum(absorption), scattering, chi)
+    return math.fsum(absorption), parts

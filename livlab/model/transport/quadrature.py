@@ -101,7 +101,7 @@ class Grid:
         """The beam's cosine in a medium of index n, or None where it cannot go."""
         origin, mu = self.beam
         squared = ((n - origin) * (n + origin) + (origin * mu) ** 2) / (n * n)
-        return math.sqrt(squared) if squared > 1e-20 else None
+        return min(math.sqrt(squared), 1.0) if squared > 1e-20 else None
 
     def active(self, n: float) -> NDArray[np.intp]:
         """Indices of the nodes that travel in a medium of index n (a break)."""
@@ -153,7 +153,7 @@ def _graded(breaks: list[float]) -> list[float]:
 def interval_cosines(n: float, low: float, high: float, t: FloatArray) -> FloatArray:
     """Cosines in a medium of index n ≥ high at places t of the interval (low, high) of the sine."""
     rest = (high - low) * (high + low) * np.cos(0.5 * math.pi * t) ** 2
-    return np.sqrt((n - high) * (n + high) + rest) / n
+    return np.minimum(np.sqrt((n - high) * (n + high) + rest) / n, 1.0)
 
 
 def interval_place(low: float, high: float, sine: FloatArray) -> FloatArray:
