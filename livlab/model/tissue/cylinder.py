@@ -23,11 +23,50 @@ import numpy as np
 from livlab.errors import InputError
 from livlab.model.tissue.mie import sphere_arguments
 from livlab.model.tissue.mie_series import ComplexArray
+from livlab.model.tissue.phase import Tabulated
 from livlab.units import FloatArray
 
-MEAN_TOLERANCE = 1e-6
-_FIRST_NODES = 32
-_MAX_NODES = 8192
+MEAN_TOLERANCE = 3e-5
+"""Error allowed in a mean over orientations, as a share of the mean."""
+_NARROWEST = 1e-9
+_NOTHING = 1e-100
+"""Stands for m² − 1 = 0: what it scatters is rounded to 0, its anisotropy is that of the limit."""
+_MAX_PHASE_X = 500.0
+_PHASE_TOLERANCE = 1e-4
+
+# Kronrod's 15 points and weights on [−1, 1], and Gauss's weights at every other point (Piessens et al. 1983, QUADPACK).
+_POINTS = np.array(
+    [
+        0.991455371120812639206854697526329,
+        0.949107912342758524526189684047851,
+        0.864864423359769072789712788640926,
+        0.741531185599394439863864773280788,
+        0.586087235467691130294144691258380,
+        0.405845151377397166906606412076961,
+        0.207784955007898467600689403773245,
+        0.0,
+    ]
+)
+_KRONROD = np.array(
+    [
+        0.022935322010529224963732008058970,
+        0.063092092629978553290700663189204,
+        0.104790010322250183839876322541518,
+        0.140653259715525918745189590510238,
+        0.169004726639267902826583426598550,
+        0.190350578064785409913256402421014,
+        0.204432940075298892414161999234649,
+        0.209482141084727828012999174891714,
+    ]
+)
+_GAUSS = np.array(
+    [
+        0.129484966168869693270611432679082,
+        0.279705391489276667901467771423780,
+        0.381830050505118944950369775488975,
+        0.417959183673469387755102040816327,
+    ]
+)
 
 
 class CylinderEfficiencies(NamedTuple):
@@ -58,10 +97,11 @@ class CylinderEfficiencies(NamedTuple):
 
     @property
     def anisotropy(self) -> FloatArray:
-        """Mean cosine for unpolarised light; NaN where nothing is scattered."""
+        """Mean cosine for unpolarised light; where nothing is scattered, the mean of its limits."""
         turn = self.q_sca_tm * self.anisotropy_tm + self.q_sca_te * self.anisotropy_te
         total = self.q_sca_tm + self.q_sca_te
-        return np.divide(turn, total, out=np.full_like(total, np.nan), where=total > 0.0)
+        even = 0.5 * (self.anisotropy_tm + self.anisotropy_te)
+        return np.divide(turn, total, out=np.asarray(even), where=total > 0.0)
 
 
 def cylinder(m: Any, x: Any, zeta: Any = 0.5 * math.pi) -> CylinderEfficiencies:
@@ -82,8 +122,8 @@ def cylinder(m: Any, x: Any, zeta: Any = 0.5 * math.pi) -> CylinderEfficiencies:
     Returns
     -------
     CylinderEfficiencies
-        Of the broadcast shape. Without absorption q_ext is q_sca. The anisotropy of what does not scatter
-        is NaN.
+        Of the broadcast shape. Without absorption q_ext is q_sca. At m = 1 the efficiencies are 0 and the
+        anisotropy is its limit; at ζ = 0 it is 1, the cone having closed.
 
     Raises
     ------
@@ -110,8 +150,10 @@ def cylinder(m: Any, x: Any, zeta: Any = 0.5 * math.pi) -> CylinderEfficiencies:
 def cylinder_mean(m: Any, x: Any) -> CylinderEfficiencies:
     """Efficiencies of infinite cylinders averaged over all directions of the axis, ∫ Q sin ζ dζ.
 
-    Gauss's rule in ζ, doubled until extinction, scattering and anisotropy settle to 1e-6 of themselves (1e-4
-    where 8192 angles do not reach that); below m = 1 the range is cut at the critical angle cos ζ = m.
+    Adaptive Gauss–Kronrod rule in ζ, halving where the two rules differ by more than 3e-5 of the mean. A
+    transparent cylinder denser than its medium guides light and has ever narrower resonances in ζ; those the
+    rule does not see leave an error of about 1e-5 to 1e-4 (measured at m = 1.5, x = 30 … 100). Elsewhere it is
+    below 1e-6.
 
     Parameters
     ----------
@@ -121,44 +163,65 @@ def cylinder_mean(m: Any, x: Any) -> CylinderEfficiencies:
     Returns
     -------
     CylinderEfficiencies
-        Of the broadcast shape; a large transparent cylinder has q_ext → π/2.
+        Of the broadcast shape; a large cylinder has q_ext → π/2.
 
     Raises
     ------
     InputError
-        As `cylinder`; also if the mean does not settle.
+        As `cylinder`.
 
     Examples
     --------
     >>> q = cylinder_mean(1.5 / 1.35, [5.0, 29.7])
-    >>> q.q_sca.round(4), q.anisotropy.round(4)
-    (array([0.3843, 1.4749]), array([0.9331, 0.9781]))
+    >>> q.q_sca.round(3), q.anisotropy.round(3)
+    (array([0.919, 1.195]), array([0.958, 0.949]))
     """
     index, size = sphere_arguments(m, x)
-    shape = index.shape
-    index, size = index.ravel(), size.ravel()
-    found = np.full((index.size, 6), np.nan)
-    todo = np.arange(index.size)
-    before = found.copy()
-    nodes = _FIRST_NODES
-    while todo.size and nodes <= _MAX_NODES:
-        batch = max(1, 400_000 // nodes)
-        for at in range(0, todo.size, batch):
-            chosen = todo[at : at + batch]
-            found[chosen] = _mean_rows(index[chosen], size[chosen], nodes)
-        last = nodes * 2 > _MAX_NODES
-        settled = _settled(before[todo], found[todo], 100.0 * MEAN_TOLERANCE if last else MEAN_TOLERANCE)
-        before[todo] = found[todo]
-        todo = todo[~settled]
-        nodes *= 2
-    if todo.size:
-        raise InputError.of(
-            "m, x",
-            (complex(index[todo[0]]), float(size[todo[0]])),
-            f"the orientation mean does not settle with {_MAX_NODES} angles",
-            "Take a smaller size parameter.",
-        )
-    return _collect(found, shape)
+    rows = np.array([_mean_row(complex(a), float(b)) for a, b in zip(index.ravel(), size.ravel(), strict=True)])
+    return _collect(rows.reshape(-1, 6), index.shape)
+
+
+def cylinder_phase(m: complex, x: float) -> Tabulated:
+    """Phase function of infinite cylinders with axes in all directions alike, for unpolarised light.
+
+    See `livlab.model.tissue.cylinder_cone`. It grows as 1/sin(Θ/2) towards Θ = 0; the table follows it down to
+    a millionth of the forward lobe's width and keeps the mass of its first cell. Angles are doubled until its
+    anisotropy agrees with that of `cylinder_mean` to 1e-4. Results are cached.
+
+    Parameters
+    ----------
+    m, x
+        As in `cylinder`, scalars, x ≤ 500 (about 0.1 s at 30, a minute at 500).
+
+    Raises
+    ------
+    InputError
+        As `cylinder`, and if m or x is no scalar or x is above 500.
+
+    Examples
+    --------
+    >>> phase = cylinder_phase(1.5 / 1.35, 29.7)
+    >>> abs(phase.anisotropy - float(cylinder_mean(1.5 / 1.35, 29.7).anisotropy)) < 1e-4
+    True
+    """
+    index, size = sphere_arguments(m, x)
+    if index.ndim:
+        raise InputError.of("m, x", index.shape, "must be scalars", "Call once for each cylinder.")
+    if size > _MAX_PHASE_X:
+        raise InputError.of("x", float(size), f"must be <= {_MAX_PHASE_X:g} for a phase function", "Use a thinner one.")
+    return _phase(complex(index), float(size))
+
+
+@lru_cache(maxsize=512)
+def _phase(m: complex, x: float) -> Tabulated:
+    from livlab.model.tissue.cylinder_cone import orientation_table
+
+    g = float(cylinder_mean(m, x).anisotropy)
+    for level in range(4):
+        table = orientation_table(m.conjugate(), x, level)
+        if abs(table.anisotropy - g) <= _PHASE_TOLERANCE:
+            break
+    return table
 
 
 def bessel_pair(xi: FloatArray) -> FloatArray:
@@ -178,26 +241,29 @@ def _panels(nodes: int) -> tuple[FloatArray, FloatArray]:
     return (centres[:, None] + t / count).ravel(), np.tile(w / count, count)
 
 
-def gauss_angles(m: complex, nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Angles ζ and weights (sin ζ included) for the mean over orientations, in one panel or two."""
-    t, w = _panels(nodes)
-    edges = [0.0, math.acos(m.real), 0.5 * math.pi] if m.real < 1.0 else [0.0, 0.5 * math.pi]
-    zeta = np.concatenate([0.5 * (a + b) + 0.5 * (b - a) * t for a, b in zip(edges[:-1], edges[1:], strict=True)])
-    weight = np.concatenate([0.5 * (b - a) * w for a, b in zip(edges[:-1], edges[1:], strict=True)])
-    return zeta, weight * np.sin(zeta)
-
-
-def _mean_rows(index: ComplexArray, size: FloatArray, nodes: int) -> FloatArray:
-    rules = [gauss_angles(complex(m), nodes) for m in index]
-    counts = [z.size for z, _ in rules]
-    zeta, weight = (np.concatenate(part) for part in zip(*rules, strict=True))
-    rows = _rows(np.repeat(index, counts), np.repeat(size, counts), np.sin(zeta), np.cos(zeta))
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return np.asarray(np.add.reduceat(rows * weight[:, None], starts, axis=0))
-
-
-def _settled(before: FloatArray, after: FloatArray, tolerance: float) -> Any:
-    return (np.abs(after - before) <= tolerance * np.abs(after)).all(axis=1)
+def _mean_row(m: complex, x: float) -> FloatArray:
+    points = np.concatenate([-_POINTS[:-1], _POINTS[::-1]])
+    kronrod = np.concatenate([_KRONROD[:-1], _KRONROD[::-1]])[:, None]
+    gauss = np.zeros((15, 1))
+    gauss[1::2, 0] = np.concatenate([_GAUSS[:-1], _GAUSS[::-1]])
+    edges = np.linspace(0.0, 0.5 * math.pi, 1 + min(256, 8 + int(0.5 * x)))
+    if m.real < 1.0:  # total reflection begins at cos ζ = m
+        edges = np.unique(np.append(edges, math.acos(m.real)))
+    low, high = edges[:-1], edges[1:]
+    total = np.zeros(6)
+    while low.size:
+        half = 0.5 * (high - low)[:, None]
+        zeta = (0.5 * (low + high)[:, None] + half * points).ravel()
+        rows = _rows(np.full(zeta.size, m), np.full(zeta.size, x), np.sin(zeta), np.cos(zeta))
+        values = (rows * np.sin(zeta)[:, None]).reshape(low.size, 15, 6)
+        fine = half * (values * kronrod).sum(axis=1)
+        error = np.abs(fine - half * (values * gauss).sum(axis=1))
+        allowed = MEAN_TOLERANCE * np.abs(total + fine.sum(axis=0)) * half * (4.0 / math.pi)
+        again = (error > allowed).any(axis=1) & (high - low > _NARROWEST)
+        total = total + fine[~again].sum(axis=0)
+        middle = 0.5 * (low + high)[again]
+        low, high = np.concatenate([low[again], middle]), np.concatenate([middle, high[again]])
+    return total
 
 
 def _rows(index: ComplexArray, size: FloatArray, sine: FloatArray, cosine: FloatArray) -> FloatArray:
@@ -206,6 +272,7 @@ def _rows(index: ComplexArray, size: FloatArray, sine: FloatArray, cosine: Float
 
     inside = np.conj(index)
     contrast = (inside - 1.0) * (inside + 1.0)
+    contrast[contrast == 0.0] = _NOTHING
     rows = efficiencies(contrast, size, sine, cosine, bessel_pair(size * sine))
     rows[:, 4:] = cosine[:, None] ** 2 * rows[:, 2:4] + sine[:, None] ** 2 * rows[:, 4:]
     clear = index.imag == 0.0
@@ -215,6 +282,6 @@ def _rows(index: ComplexArray, size: FloatArray, sine: FloatArray, cosine: Float
 
 def _collect(rows: FloatArray, shape: tuple[int, ...]) -> CylinderEfficiencies:
     q_sca = rows[:, 2:4]
-    g = np.divide(rows[:, 4:], q_sca, out=np.full_like(q_sca, np.nan), where=q_sca > 0.0)
-    columns = [*rows[:, :4].T, *g.T]
+    g = np.divide(rows[:, 4:], q_sca, out=np.ones_like(q_sca), where=q_sca > 0.0)
+    columns = [*np.where(rows[:, :4] > _NOTHING, rows[:, :4], 0.0).T, *g.T]
     return CylinderEfficiencies(*(np.ascontiguousarray(c).reshape(shape) for c in columns))

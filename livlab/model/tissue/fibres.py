@@ -81,9 +81,8 @@ def _phases(law: str, m: bytes, x: bytes) -> tuple[Phase, ...]:
         return (Rayleigh(),) * len(index)
     if law == "sphere":
         return tuple(mie_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
-    from livlab.model.tissue.cylinder_phase import cylinder_phase
+    from livlab.model.tissue.cylinder import cylinder_phase
 
-    from livlab.model.tissue.cylinder_phase import cylinder_phase
 
     return tuple(cylinder_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
 

@@ -1,0 +1,79 @@
+"""Light on the cone of an infinite cylinder, and its phase function averaged over the axes' directions.
+
+With intensity I(φ, ζ) = (|T1|² + |T2|² + 2|T3|²)/2 per azimuth (Bohren & Huffman 1983, eqs. 8.34, 8.41), axes
+in all directions alike, and 1 − cos Θ = 2 sin²ζ sin²(φ/2), the share scattered at Θ is, with s = sin(Θ/2),
+
+    p(Θ) ∝ (1/s) ∫₀^{π/2} I(φ, ζ) dt,   cos ζ = cos(Θ/2) sin t,   tan(φ/2) = tan(Θ/2)/cos t,
+
+the integral over ζ having lost its inverse square root by the substitution of t. It grows as 1/s towards
+Θ = 0, as every cone holds the forward direction: integrable, and cut off only by a fibre's finite length.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from livlab.model.tissue.cylinder_kernels import coefficient_table, orders
+from livlab.model.tissue.mie_series import ComplexArray
+from livlab.model.tissue.phase_tabulated import Tabulated
+from livlab.units import FloatArray
+
+
+def cone_intensity(b1: ComplexArray, a1: ComplexArray, a2: ComplexArray, phi: FloatArray) -> FloatArray:
+    """(|T1|² + |T2|² + |T3|² + |T4|²)/2 for coefficients (K, N + 1) and azimuths (P,): (K, P).
+
+    T1 = b_0I + 2 Σ b_nI cos nφ, T2 = a_0II + 2 Σ a_nII cos nφ, T3 = −T4 = −2i Σ a_nI sin nφ (eq. 8.34 and after).
+    """
+    n = np.arange(b1.shape[1])
+    cosine = np.where(n == 0, 1.0, 2.0)[:, None] * np.cos(np.outer(n, phi))
+    out = np.zeros((b1.shape[0], phi.size))
+    for part, share in ((b1, 0.5), (a2, 0.5)):
+        out += share * ((part.real @ cosine) ** 2 + (part.imag @ cosine) ** 2)
+    sine = 2.0 * np.sin(np.outer(n, phi))
+    out += (a1.real @ sine) ** 2 + (a1.imag @ sine) ** 2
+    return out
+
+
+def orientation_table(m: complex, x: float, level: int) -> Tabulated:
+    """The averaged phase function; each level doubles the table's scattering angles. `m` is n + ik here."""
+    from scipy.ndimage import map_coordinates, spline_filter
+
+    from livlab.model.tissue.cylinder import bessel_pair
+
+    zeta = np.linspace(0.0, 0.5 * math.pi, 1 + math.ceil(8.0 * x + 100.0))
+    phi = np.linspace(0.0, math.pi, 1 + 8 * (orders(x) + 4))
+    sine, cosine = np.sin(zeta), np.cos(zeta)
+    contrast = (m - 1.0) * (m + 1.0) or 1e-100  # the shape has a limit at m = 1
+    parts = coefficient_table(contrast, x, sine, cosine, bessel_pair(x * sine))
+    top = max(float(np.abs(part).max()) for part in parts)
+    grid = spline_filter(cone_intensity(*(part / top for part in parts), phi), order=3, mode="mirror")
+
+    theta = scattering_angles(x, 2**level)
+    half_s, half_c = np.sin(0.5 * theta), np.cos(0.5 * theta)
+    node, weight = np.polynomial.legendre.leggauss(16)
+    panels = math.ceil(6.0 + 0.25 * x)
+    t = (0.25 * math.pi / panels * (2.0 * np.arange(panels)[:, None] + 1.0 + node)).ravel()
+    weight = np.tile(weight, panels)
+    sin_t, cos_t = np.sin(t), np.cos(t)
+    mean = np.empty(theta.size)
+    for first in range(0, theta.size, 256):
+        s, c = half_s[first : first + 256, None], half_c[first : first + 256, None]
+        across = c * cos_t
+        at_zeta = np.arctan2(np.hypot(s, across), c * sin_t) / zeta[1]
+        at_phi = 2.0 * np.arctan2(s, across) / phi[1]
+        values = map_coordinates(grid, np.stack([at_zeta, at_phi]), order=3, mode="mirror", prefilter=False)
+        mean[first : first + 256] = np.maximum(values, 0.0) @ weight / s[:, 0]
+    # The cell at Θ = 0 keeps the mass of 1/√w: its end value is three times the next.
+    w = np.concatenate([[0.0], 2.0 * half_s**2])
+    w[-1] = 2.0
+    return Tabulated.from_complement(w, np.concatenate([[3.0 * mean[0]], mean]))
+
+
+def scattering_angles(x: float, fine: int) -> FloatArray:
+    """Angles above 0 up to π: growing by a twentieth to an eighth of 1/x, then in steps of that, all over `fine`."""
+    step = 0.125 / max(x, 8.0)
+    near = np.geomspace(1e-5 * step, 20.0 * step, 280 * fine, endpoint=False)
+    far = np.linspace(20.0 * step, math.pi, 1 + fine * math.ceil((math.pi - 20.0 * step) / step))
+    return np.concatenate([near, far])
