@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from livlab.acquire.instruments import Collinear, FibreProbe, HyperspectralCamer
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
 from livlab.units import FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 PROBE_BINS = 48
 
@@ -40,6 +44,18 @@ class Readout:
     specular_weight: float
     mirror_seen: bool
     notes: tuple[str, ...] = ()
+
+    def of_endless(self, solved: xr.Dataset) -> FloatArray:
+        """(W,) the reading of an endless sample as adding–doubling solved it, through an endless port."""
+        from livlab.model.transport.angular import cone_fraction
+
+        if self.tally.theta_edges:
+            seen = cone_fraction(solved, math.cos(self.tally.theta_edges[-1])).to_numpy()
+            if self.mirror_seen:
+                seen = seen + solved["unscattered_reflectance"].to_numpy()
+        else:
+            seen = solved["reflectance"].to_numpy()
+        return np.asarray(float(self.weights[0, 0]) * seen + self.specular_weight * solved["specular"].to_numpy())
 
 
 def readout(instrument: Instrument, n_above: FloatArray) -> Readout:

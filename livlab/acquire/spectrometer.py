@@ -302,23 +302,16 @@ def _by_adding_doubling(
     stack: OpticalStack, instrument: Instrument, solver: AddingDoublingSolver, view: Readout
 ) -> xr.Dataset:
     from livlab.model.transport.adding_doubling import adding_doubling
-    from livlab.model.transport.angular import cone_fraction
 
     notes = _lateral_notes(instrument)
     started = time.perf_counter()
     mu0 = math.cos(view.source.angle_rad)
     solved = adding_doubling(stack, mu0=mu0, tolerance=solver.tolerance)
-    if view.tally.theta_edges:
-        seen = cone_fraction(solved, math.cos(view.tally.theta_edges[-1])).to_numpy()
-        if view.mirror_seen:
-            seen = seen + solved["unscattered_reflectance"].to_numpy()
-    else:
-        seen = solved["reflectance"].to_numpy()
     specular = solved["specular"].to_numpy()
     zero = np.zeros_like(specular)
     values = {name: solved[name].to_numpy() for name in ("reflectance", "specular", "transmittance", "absorbed")}
     values |= {"lost": zero, "redirect_loss": zero, "residual": solved["residual"].to_numpy()}
-    values["value"] = float(view.weights[0, 0]) * seen + view.specular_weight * specular
+    values["value"] = view.of_endless(solved)
     errors = {name: np.zeros_like(array) for name, array in values.items()}
     converged = np.asarray(solved["converged"].to_numpy(), dtype=bool)
     out = _dataset(stack, values, errors, np.zeros(len(specular), dtype=np.int64), converged)

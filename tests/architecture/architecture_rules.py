@@ -22,6 +22,7 @@ RANKS = {
     "livlab.model.tissue": 2,
     "livlab.model.transport": 3,
     "livlab.model.tracer": 4,
+    "livlab.model.effects": 5,  # a scene has an instrument
     "livlab.cli": 6,
 }
 RANK_OF_THE_REST = 5  # study, reports, acquire, brdf, configuration, runs, doctor
