@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -68,7 +69,7 @@ class PlainProgress:
         self._last = now
         left = f", about {(now - since) * (1 - share) / share:.0f} s left" if 0 < share < 1 and not first else ""
         took = f", {now - since:.1f} s" if share >= 1 else ""
-        self.say(f"{task}: {share:.0%}{took}{left}{f' ({text})' if text else ''}")
+        self.say(f"{task}: {math.floor(100 * share)}%{took}{left}{f' ({text})' if text else ''}")
 
     def say(self, text: str) -> None:
         """Print a line."""
