@@ -30,7 +30,7 @@ MEAN_TOLERANCE = 3e-5
 """Error allowed in a mean over orientations, as a share of the mean."""
 _NARROWEST = 1e-9
 _NOTHING = 1e-100
-"""Stands for m² − 1 = 0: what it scatters is rounded to 0, its anisotropy is that of the limit."""
+"""Stands for m² − 1 = 0: it scatters less than 1e-190, with the anisotropy of the limit."""
 _MAX_PHASE_X = 500.0
 _PHASE_TOLERANCE = 1e-4
 
@@ -97,11 +97,10 @@ class CylinderEfficiencies(NamedTuple):
 
     @property
     def anisotropy(self) -> FloatArray:
-        """Mean cosine for unpolarised light; where nothing is scattered, the mean of its limits."""
+        """Mean cosine for unpolarised light; 1 where nothing is scattered at all."""
         turn = self.q_sca_tm * self.anisotropy_tm + self.q_sca_te * self.anisotropy_te
-        total = self.q_sca_tm + self.q_sca_te
-        even = 0.5 * (self.anisotropy_tm + self.anisotropy_te)
-        return np.divide(turn, total, out=np.asarray(even), where=total > 0.0)
+        total = np.asarray(self.q_sca_tm + self.q_sca_te)
+        return np.divide(turn, total, out=np.ones_like(total), where=total > 0.0)
 
 
 def cylinder(m: Any, x: Any, zeta: Any = 0.5 * math.pi) -> CylinderEfficiencies:
@@ -122,8 +121,8 @@ def cylinder(m: Any, x: Any, zeta: Any = 0.5 * math.pi) -> CylinderEfficiencies:
     Returns
     -------
     CylinderEfficiencies
-        Of the broadcast shape. Without absorption q_ext is q_sca. At m = 1 the efficiencies are 0 and the
-        anisotropy is its limit; at ζ = 0 it is 1, the cone having closed.
+        Of the broadcast shape. Without absorption q_ext is q_sca. At m = 1 the efficiencies are
+        below 1e-190 and the anisotropy is its limit; at ζ = 0 they are 0 and 1, the cone having closed.
 
     Raises
     ------
@@ -134,17 +133,17 @@ def cylinder(m: Any, x: Any, zeta: Any = 0.5 * math.pi) -> CylinderEfficiencies:
     --------
     >>> q = cylinder(1.55, 5.2128)
     >>> round(float(q.q_sca_tm), 4), round(float(q.q_sca_te), 4)
-    (2.0972, 1.9278)
+    (2.0972, 1.9279)
     """
     index, size = sphere_arguments(m, x)
     angle = np.asarray(zeta, dtype=np.float64)
     bad = ~((angle >= 0.0) & (angle <= 0.5 * math.pi))
     if bad.any():
         raise InputError.of("zeta", float(angle[bad].flat[0]), "must lie within [0, pi/2]", "Give it in radians.")
-    index, size, angle = np.broadcast_arrays(index, size, angle)
-    flat = [v.ravel() for v in (index, size, angle)]
-    rows = _rows(flat[0], flat[1], np.sin(flat[2]), np.cos(flat[2]))
-    return _collect(rows, index.shape)
+    shape = np.broadcast_shapes(index.shape, angle.shape)
+    angle = np.broadcast_to(angle, shape).ravel()
+    index, size = np.broadcast_to(index, shape).ravel(), np.broadcast_to(size, shape).ravel()
+    return _collect(_rows(index, size, np.sin(angle), np.cos(angle)), shape)
 
 
 def cylinder_mean(m: Any, x: Any) -> CylinderEfficiencies:
@@ -185,7 +184,7 @@ def cylinder_phase(m: complex, x: float) -> Tabulated:
     """Phase function of infinite cylinders with axes in all directions alike, for unpolarised light.
 
     See `livlab.model.tissue.cylinder_cone`. It grows as 1/sin(Θ/2) towards Θ = 0; the table follows it down to
-    a millionth of the forward lobe's width and keeps the mass of its first cell. Angles are doubled until its
+    1e-5 of 1/x and keeps the mass of its first cell. Angles are doubled until its
     anisotropy agrees with that of `cylinder_mean` to 1e-4. Results are cached.
 
     Parameters
@@ -217,10 +216,11 @@ def _phase(m: complex, x: float) -> Tabulated:
     from livlab.model.tissue.cylinder_cone import orientation_table
 
     g = float(cylinder_mean(m, x).anisotropy)
-    for level in range(4):
-        table = orientation_table(m.conjugate(), x, level)
+    table: Tabulated = orientation_table(m.conjugate(), x, 0)
+    for level in range(1, 4):
         if abs(table.anisotropy - g) <= _PHASE_TOLERANCE:
             break
+        table = orientation_table(m.conjugate(), x, level)
     return table
 
 
@@ -254,7 +254,8 @@ def _mean_row(m: complex, x: float) -> FloatArray:
     while low.size:
         half = 0.5 * (high - low)[:, None]
         zeta = (0.5 * (low + high)[:, None] + half * points).ravel()
-        rows = _rows(np.full(zeta.size, m), np.full(zeta.size, x), np.sin(zeta), np.cos(zeta))
+        m_here, x_here = np.full(zeta.size, m, dtype=np.complex128), np.full(zeta.size, x, dtype=np.float64)
+        rows = _rows(m_here, x_here, np.sin(zeta), np.cos(zeta))
         values = (rows * np.sin(zeta)[:, None]).reshape(low.size, 15, 6)
         fine = half * (values * kronrod).sum(axis=1)
         error = np.abs(fine - half * (values * gauss).sum(axis=1))
@@ -270,8 +271,7 @@ def _rows(index: ComplexArray, size: FloatArray, sine: FloatArray, cosine: Float
     """(N, 6) Q_ext, Q_sca and Q_sca g of cases I and II, one cylinder a row."""
     from livlab.model.tissue.cylinder_kernels import efficiencies
 
-    inside = np.conj(index)
-    contrast = (inside - 1.0) * (inside + 1.0)
+    contrast: ComplexArray = np.conj((index - 1.0) * (index + 1.0)).astype(np.complex128)
     contrast[contrast == 0.0] = _NOTHING
     rows = efficiencies(contrast, size, sine, cosine, bessel_pair(size * sine))
     rows[:, 4:] = cosine[:, None] ** 2 * rows[:, 2:4] + sine[:, None] ** 2 * rows[:, 4:]
@@ -283,5 +283,5 @@ def _rows(index: ComplexArray, size: FloatArray, sine: FloatArray, cosine: Float
 def _collect(rows: FloatArray, shape: tuple[int, ...]) -> CylinderEfficiencies:
     q_sca = rows[:, 2:4]
     g = np.divide(rows[:, 4:], q_sca, out=np.ones_like(q_sca), where=q_sca > 0.0)
-    columns = [*np.where(rows[:, :4] > _NOTHING, rows[:, :4], 0.0).T, *g.T]
+    columns = [*rows[:, :4].T, *g.T]
     return CylinderEfficiencies(*(np.ascontiguousarray(c).reshape(shape) for c in columns))

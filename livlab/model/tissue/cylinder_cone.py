@@ -42,13 +42,14 @@ def orientation_table(m: complex, x: float, level: int) -> Tabulated:
 
     from livlab.model.tissue.cylinder import bessel_pair
 
-    zeta = np.linspace(0.0, 0.5 * math.pi, 1 + math.ceil(8.0 * x + 100.0))
+    zeta = np.linspace(0.0, 0.5 * math.pi, 1 + math.ceil(8.0 * x + 400.0))
     phi = np.linspace(0.0, math.pi, 1 + 8 * (orders(x) + 4))
     sine, cosine = np.sin(zeta), np.cos(zeta)
-    contrast = (m - 1.0) * (m + 1.0) or 1e-100  # the shape has a limit at m = 1
+    contrast = complex((m - 1.0) * (m + 1.0) or 1e-100)  # the shape has a limit at m = 1
     parts = coefficient_table(contrast, x, sine, cosine, bessel_pair(x * sine))
     top = max(float(np.abs(part).max()) for part in parts)
-    grid = spline_filter(cone_intensity(*(part / top for part in parts), phi), order=3, mode="mirror")
+    b1, a1, a2 = (part / top for part in parts)
+    grid = spline_filter(cone_intensity(b1, a1, a2, phi), order=3, mode="mirror")
 
     theta = scattering_angles(x, 2**level)
     half_s, half_c = np.sin(0.5 * theta), np.cos(0.5 * theta)
@@ -65,15 +66,20 @@ def orientation_table(m: complex, x: float, level: int) -> Tabulated:
         at_phi = 2.0 * np.arctan2(s, across) / phi[1]
         values = map_coordinates(grid, np.stack([at_zeta, at_phi]), order=3, mode="mirror", prefilter=False)
         mean[first : first + 256] = np.maximum(values, 0.0) @ weight / s[:, 0]
-    # The cell at Θ = 0 keeps the mass of 1/√w: its end value is three times the next.
-    w = np.concatenate([[0.0], 2.0 * half_s**2])
+    w = 2.0 * half_s**2
     w[-1] = 2.0
-    return Tabulated.from_complement(w, np.concatenate([[3.0 * mean[0]], mean]))
+    # A straight line overrates 1/√w in every cell: values are lowered so that 1/√w keeps its mass in each, the
+    # first from 0 included.
+    root = np.sqrt(w)
+    kept = 2.0 * np.diff(root) / (0.5 * np.diff(w) * (1.0 / root[:-1] + 1.0 / root[1:]))
+    lowered = mean * 0.5 * (np.append(kept, kept[-1]) + np.insert(kept, 0, kept[0]))
+    first_value = 4.0 * mean[0] - lowered[0]
+    return Tabulated.from_complement(np.insert(w, 0, 0.0), np.insert(lowered, 0, first_value))
 
 
 def scattering_angles(x: float, fine: int) -> FloatArray:
-    """Angles above 0 up to π: growing by a twentieth to an eighth of 1/x, then in steps of that, all over `fine`."""
-    step = 0.125 / max(x, 8.0)
-    near = np.geomspace(1e-5 * step, 20.0 * step, 280 * fine, endpoint=False)
-    far = np.linspace(20.0 * step, math.pi, 1 + fine * math.ceil((math.pi - 20.0 * step) / step))
+    """Angles above 0 up to π: each a fortieth above the last, then in steps of 1/(16 x), all refined by `fine`."""
+    step = 0.0625 / max(x, 4.0)
+    near = np.geomspace(1e-4 * step, 40.0 * step, 520 * fine, endpoint=False)
+    far = np.linspace(40.0 * step, math.pi, 1 + fine * math.ceil((math.pi - 40.0 * step) / step))
     return np.concatenate([near, far])

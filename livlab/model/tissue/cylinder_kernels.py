@@ -60,7 +60,7 @@ def coefficients(
     y2 = tau + y1
     top = orders(xi)
     size = np.sqrt(abs(y2))
-    start = int(max(float(top), max(xi, size))) + 25 + int(1.5 * np.sqrt(max(xi, size)))
+    start = int(max(float(top), xi, size)) + 25 + int(1.5 * np.sqrt(max(xi, size)))
     m1s = np.empty(top + 1)
     mus = np.empty(top + 1, dtype=np.complex128)
     m2s = np.empty(top + 1, dtype=np.complex128)
