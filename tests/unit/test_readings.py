@@ -47,8 +47,12 @@ def test_the_readings_choose_as_the_table_says():
     assert set(table.index[differ]) == set(expected)
     for option, (printed, mended) in expected.items():
         assert (table.loc[option, "thesis"], table.loc[option, "consistent"]) == (printed, mended)
-    assert list(table.index[table["consistent"] != table["measured"]]) == ["parenchyma_scattering"]
+    assert list(table.index[table["consistent"] != table["measured"]]) == [
+        "fibre_hydration",
+        "parenchyma_scattering",
+    ]
     assert table.loc["parenchyma_scattering", "measured"] == "published"
+    assert table.loc["fibre_hydration", "measured"] == "hydrated"
 
 
 def test_a_reading_of_ones_own_takes_the_rest_from_its_base():
