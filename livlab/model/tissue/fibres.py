@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from livlab.model.tissue.cylinder import cylinder_mean, cylinder_phase
 from livlab.model.tissue.elements import Fibre
 from livlab.model.tissue.mie import mie, mie_phase, size_parameter
 from livlab.model.tissue.phase import Rayleigh
@@ -67,22 +68,18 @@ def _efficiency(law: str, m: bytes, x: bytes) -> FloatArray:
     elif law == "sphere":
         q = np.asarray(mie(index, size).q_sca, dtype=float)
     else:
-        from livlab.model.tissue.cylinder import cylinder_mean
-
         q = np.asarray(cylinder_mean(index, size).q_sca, dtype=float)
     q.setflags(write=False)
     return q
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _phases(law: str, m: bytes, x: bytes) -> tuple[Phase, ...]:
     index, size = np.frombuffer(m), np.frombuffer(x)
     if law == "rayleigh":
         return (Rayleigh(),) * len(index)
     if law == "sphere":
         return tuple(mie_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
-    from livlab.model.tissue.cylinder import cylinder_phase
-
 
     return tuple(cylinder_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
 
