@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Wavelength = Annotated[float, Field(gt=0, lt=1e5)]
 MOST_WAVELENGTHS = 10_000
+MOST_CURVE_POINTS = 2_000
 
 
 class Wavelengths(Section):
@@ -157,6 +158,9 @@ class SpectralExperiment(Experiment):
             raise InputError.of(
                 "readings", (), "at least one reading is needed", 'Write readings = ["consistent"], or a [[reading]].'
             )
+        for name in names:
+            if not name.isprintable() or name != name.strip():
+                raise InputError.of("reading name", name, "must be one line of text", "Rename the reading.")
         _once("reading", names)
         labels = [r.label for r in self.reference]
         _once("reference", labels)
@@ -168,7 +172,38 @@ class SpectralExperiment(Experiment):
         if isinstance(self.solver, WalkSolver) and "seed" in self.solver.model_fields_set:
             raise InputError.of("solver.seed", self.solver.seed, "an experiment has one seed", "Set `seed` at the top.")
         self.tissue.build()
+        self._curves_can_be_made()
         return self
+
+    def _curves_can_be_made(self) -> None:
+        """What would only fail once the light has been followed."""
+        from livlab.acquire.curves import regular_grid
+
+        grid = self.wavelengths.grid()
+        first, last = float(grid[0]), float(grid[-1])
+        for k, criterion in enumerate(self.criterion):
+            band = criterion.band_nm
+            if band is not None and not first <= band[0] < band[1] <= last:
+                raise InputError.of(
+                    f"criterion[{k}].band_nm", band, f"must lie within {first:g}–{last:g} nm", "Narrow it."
+                )
+        if len(grid) < 2:
+            return
+        step, window = self.processing.interpolate_nm, self.processing.moving_average
+        if (last - first) / step > MOST_CURVE_POINTS:
+            raise InputError.of(
+                "processing.interpolate_nm", step, f"makes more than {MOST_CURVE_POINTS} points", "Take a larger step."
+            )
+        try:
+            size = len(regular_grid(first, last, step))
+        except InputError:
+            raise InputError.of(
+                "processing.interpolate_nm", step, f"must divide the band {first:g}–{last:g} nm evenly", "Change it."
+            ) from None
+        if window > size:
+            raise InputError.of(
+                "processing.moving_average", window, f"must be at most {size}, the curve's points", "Narrow it."
+            )
 
     def claims(self) -> list[tuple[CriterionSpec, str, str]]:
         """Each criterion with each reading it is asked of, and the claim's name."""

@@ -19,7 +19,7 @@ from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue
 from livlab.study import spectral_tables as tables
-from livlab.study.spectral_claims import Known, judge, load_reference, normalise_as, points, processed
+from livlab.study.spectral_claims import Known, judge, load_reference, points, processed, shown
 
 if TYPE_CHECKING:
     from livlab.runs_work import Run
@@ -191,21 +191,22 @@ def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], reference
             diffuse_reflectance=piece["reflectance"],
             diffuse_reflectance_se=piece["reflectance_se"],
         )
-        curve = normalise_as(processed(points(piece), config.processing), config.processing)
+        curve = processed(points(piece), config.processing)
+        value, error = shown(curve, config.processing)
         x = ("wavelength_curve", curve.wavelength_nm, {"units": "nm"})
         kept = kept.assign_coords(wavelength_curve=x).assign(
-            curve=("wavelength_curve", curve.value, {"units": "1"}),
-            curve_se=("wavelength_curve", curve.standard_error, {"units": "1"}),
+            curve=("wavelength_curve", value, {"units": "1"}),
+            curve_se=("wavelength_curve", error, {"units": "1"}),
         )
         made[name] = kept.drop_attrs(deep=False)
     root = _stacked(made)
     root["reflectance"].attrs |= {"units": "1", "long_name": f"reading of the {config.instrument.kind}"}
     root = root.transpose("reading", "layer", "wavelength", "wavelength_curve", missing_dims="ignore")
     grid = root["wavelength_curve"].to_numpy()
-    shown = [r for r in references if r.dataset is not None]
-    if shown:
-        means, sds = zip(*(_scaled(r, grid, config.processing.normalise) for r in shown), strict=True)
-        root = root.assign_coords(reference_name=[r.spec.label for r in shown])
+    known = [r for r in references if r.dataset is not None]
+    if known:
+        means, sds = zip(*(_scaled(r, grid, config.processing.normalise) for r in known), strict=True)
+        root = root.assign_coords(reference_name=[r.spec.label for r in known])
         root["reference"] = (("reference_name", "wavelength_curve"), np.array(means), {"units": "1"})
         root["reference_sd"] = (("reference_name", "wavelength_curve"), np.array(sds), {"units": "1"})
     p, first = config.processing, next(iter(pieces.values()))

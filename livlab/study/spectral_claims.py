@@ -75,12 +75,17 @@ def processed(curve: Curve, how: Processing) -> Curve:
     if len(curve.value) < 2:
         return curve
     grid = regular_grid(float(curve.wavelength_nm[0]), float(curve.wavelength_nm[-1]), how.interpolate_nm)
-    return moving_average(interpolate(curve, grid), min(how.moving_average, len(grid)), how.alignment)
+    return moving_average(interpolate(curve, grid), how.moving_average, how.alignment)
 
 
-def normalise_as(curve: Curve, how: Processing) -> Curve:
-    """Normalised as the experiment asks."""
-    return normalise(curve, how.normalise)
+def shown(curve: Curve, how: Processing) -> tuple[FloatArray, FloatArray]:
+    """The processed curve, normalised, and its standard error; nan where nothing above 0 was measured."""
+    try:
+        made = normalise(curve, how.normalise)
+    except InputError:
+        nothing = np.full(len(curve.value), np.nan)
+        return nothing, nothing
+    return made.value, made.standard_error
 
 
 def judge(

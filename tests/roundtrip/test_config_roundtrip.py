@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from livlab.config import parse_experiment, to_toml
 from livlab.runs import canonical, digest
 
-POSITIVE = st.floats(1e-6, 1e6)
 SHARE = st.floats(0.0, 1.0)
 TEXT = st.text(st.characters(exclude_categories=("Cs", "Cc"), include_characters="\n\t"), max_size=40)
 
@@ -28,7 +27,7 @@ WAVELENGTHS = st.one_of(
         lambda a, n, d: {"start_nm": a, "stop_nm": a + n * d, "step_nm": d},
         st.integers(450, 700), st.integers(1, 40), st.integers(1, 20),
     ),
-    st.builds(lambda x: {"list_nm": sorted(x)}, st.sets(st.floats(450, 700), min_size=1, max_size=9)),
+    st.builds(lambda x: {"list_nm": sorted(x)}, st.sets(st.integers(450, 700), min_size=1, max_size=9)),
 )  # fmt: skip
 INSTRUMENT = st.one_of(
     st.fixed_dictionaries({"kind": st.just("collinear")}, optional={"acceptance_deg": st.floats(1, 90)}),
@@ -79,7 +78,7 @@ def experiments(draw: st.DrawFn) -> dict[str, Any]:
         "title": draw(TEXT), "description": draw(TEXT), "seed": draw(st.integers(0, 2**31 - 1)),
         "readings": draw(NAMES), "tissue": draw(TISSUE), "wavelengths": draw(WAVELENGTHS),
         "instrument": draw(INSTRUMENT), "solver": draw(SOLVER),
-        "processing": {"interpolate_nm": draw(POSITIVE), "moving_average": draw(st.integers(1, 1000))},
+        "processing": {"interpolate_nm": 1.0, "moving_average": 1, "normalise": draw(st.sampled_from(["max", "sum"]))},
         "reading": draw(st.lists(OWN, max_size=2, unique_by=lambda x: x["name"])),
         "reference": [{"label": "liver", "dataset": "liver_hsi_sellner2026", "column": "human_reflectance_share"}],
         "criterion": draw(st.lists(CRITERION, max_size=1)),
