@@ -21,18 +21,25 @@ from livlab.model.tissue.phase_tabulated import Tabulated
 from livlab.units import FloatArray
 
 
-def cone_intensity(b1: ComplexArray, a1: ComplexArray, a2: ComplexArray, phi: FloatArray) -> FloatArray:
-    """(|T1|² + |T2|² + |T3|² + |T4|²)/2 for coefficients (K, N + 1) and azimuths (P,): (K, P).
+def cone_intensity(b1: ComplexArray, a1: ComplexArray, a2: ComplexArray, points: int) -> FloatArray:
+    """(|T1|² + |T2|² + |T3|² + |T4|²)/2 for coefficients (K, N + 1) at `points` azimuths from 0 to π: (K, points).
 
-    T1 = b_0I + 2 Σ b_nI cos nφ, T2 = a_0II + 2 Σ a_nII cos nφ, T3 = −T4 = −2i Σ a_nI sin nφ (eq. 8.34 and after).
+    T1 = b_0I + 2 Σ b_nI cos nφ, T2 = a_0II + 2 Σ a_nII cos nφ, T3 = −T4 = −2i Σ a_nI sin nφ (eq. 8.34 and after):
+    cosine and sine transforms of type I. N < points − 1.
     """
-    n = np.arange(b1.shape[1])
-    cosine = np.where(n == 0, 1.0, 2.0)[:, None] * np.cos(np.outer(n, phi))
-    out = np.zeros((b1.shape[0], phi.size))
-    for part, share in ((b1, 0.5), (a2, 0.5)):
-        out += share * ((part.real @ cosine) ** 2 + (part.imag @ cosine) ** 2)
-    sine = 2.0 * np.sin(np.outer(n, phi))
-    out += (a1.real @ sine) ** 2 + (a1.imag @ sine) ** 2
+    from scipy.fft import dct, dst
+
+    def padded(part: ComplexArray, count: int) -> ComplexArray:
+        out = np.zeros((part.shape[0], count), dtype=np.complex128)
+        out[:, : part.shape[1]] = part
+        return out
+
+    out = np.zeros((b1.shape[0], points))
+    for part in (b1, a2):
+        wave = dct(padded(part, points), type=1)
+        out += 0.5 * (wave.real**2 + wave.imag**2)
+    wave = dst(padded(a1[:, 1:], points - 2), type=1)
+    out[:, 1:-1] += wave.real**2 + wave.imag**2
     return out
 
 
@@ -49,7 +56,7 @@ def orientation_table(m: complex, x: float, level: int) -> Tabulated:
     parts = coefficient_table(contrast, x, sine, cosine, bessel_pair(x * sine))
     top = max(float(np.abs(part).max()) for part in parts)
     b1, a1, a2 = (part / top for part in parts)
-    grid = spline_filter(cone_intensity(b1, a1, a2, phi), order=3, mode="mirror")
+    grid = spline_filter(cone_intensity(b1, a1, a2, phi.size), order=3, mode="mirror")
 
     theta = scattering_angles(x, 2**level)
     half_s, half_c = np.sin(0.5 * theta), np.cos(0.5 * theta)
