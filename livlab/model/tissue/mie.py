@@ -27,6 +27,7 @@ MATCHED = 1e-3
 MIN_ANGLES = 360
 ANGLES_PER_X = 4.0 * math.pi
 _DOUBLINGS = 5
+_PEER_SERIES = 0.11
 
 
 class MieEfficiencies(NamedTuple):
@@ -89,7 +90,13 @@ def mie(m: Any, x: Any) -> MieEfficiencies:
     for k in np.flatnonzero(near):
         one = slice(k, k + 1)
         out[:, one] = _efficiencies(_matched(index[k], size[k]), index[one], size[one])
-    rest = np.flatnonzero(~small & ~near)
+    rest = ~small & ~near
+    # There miepython itself would take its series for small spheres, whatever x is.
+    hollow = rest & (np.abs(index) * size < _PEER_SERIES)
+    for k in np.flatnonzero(hollow):
+        one = slice(k, k + 1)
+        out[:, one] = _efficiencies(_coefficients(complex(index[k]), float(size[k])), index[one], size[one])
+    rest = np.flatnonzero(rest & ~hollow)
     if rest.size:
         single_sphere = _miepython().single_sphere
         for k in rest:

@@ -149,7 +149,10 @@ class HenyeyGreenstein(PhaseFunction):
         """Closed form 2 (1 − g)² v (1 + g − g v) / (1 + g − 2 g v)²."""
         v = np.asarray(v, dtype=np.float64)
         g = self.g
-        w = 2.0 * (1.0 - g) ** 2 * v * (1.0 + g * (1.0 - v)) / ((1.0 - g) + 2.0 * g * (1.0 - v)) ** 2
+        # 1 + g − 2 g v and 1 + g − g v, each as a sum of terms ≥ 0.
+        far = (1.0 - g) + 2.0 * g * (1.0 - v) if g >= 0.0 else (1.0 + g) - 2.0 * g * v
+        near = 1.0 + g * (1.0 - v) if g >= 0.0 else (1.0 + g) - g * v
+        w = 2.0 * (1.0 - g) ** 2 * v * near / far**2
         return np.asarray(np.minimum(w, 2.0))
 
     def legendre(self, order: int) -> FloatArray:
