@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from livlab import __version__
-from livlab.cli import data, doctor, fractions, run
+from livlab.cli import data, doctor, fractions, plan, run
 from livlab.errors import LivlabError
 
 _REFUSED_BY_SYSTEM = {
@@ -32,6 +32,7 @@ app = typer.Typer(
 app.add_typer(data.app, name="data")
 doctor.register(app)
 run.register(app)
+plan.register(app)
 fractions.register(app)
 
 

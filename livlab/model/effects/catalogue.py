@@ -17,7 +17,7 @@ from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue, override
 
-CONES_DEG = (20, 30, 45, 60, 90, 120)
+CONES_DEG = (30, 60, 90)
 """Widths of the cone within which small angles of scattering may be taken together."""
 
 Where = Literal["plane layers", "tracer only"]

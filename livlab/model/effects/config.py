@@ -69,7 +69,7 @@ def forced_effects(names: list[str], forced: Mapping[str, Force]) -> dict[str, F
             raise ConfigError.of(f"effects.{key}", value, "the scene has no such effect", hint)
     found: dict[str, Force] = {}
     for name in names:
-        rule = forced.get(name) or next((v for k, v in forced.items() if fnmatchcase(name, k)), "auto")
-        if rule != "auto":
+        by_pattern = [v for k, v in forced.items() if fnmatchcase(name, k)]
+        if by_pattern and (rule := forced.get(name, by_pattern[0])) != "auto":
             found[name] = rule
     return found

@@ -74,7 +74,7 @@ def edges(instrument: Instrument) -> tuple[Edge, ...]:
     return ()
 
 
-def missed(scene: Scene, value: PlaneValue) -> FloatArray:
+def missed(scene: Scene, value: PlaneValue, enough: float = 0.0) -> FloatArray:
     """(W,) upper bound of what the reading loses sideways; 0 for endless samples.
 
     Parameters
@@ -83,6 +83,8 @@ def missed(scene: Scene, value: PlaneValue) -> FloatArray:
         Stack and instrument.
     value
         Its reading as if endless.
+    enough
+        A bound as low as this needs no lowering.
     """
     if not sideways_finite(scene.instrument):
         return np.zeros_like(value.fine)
@@ -91,12 +93,13 @@ def missed(scene: Scene, value: PlaneValue) -> FloatArray:
     if not known:
         return least
     view = readout(scene.instrument, scene.stack.n_above)
-    length = _weighted_length(scene, value, known[0].distance_mm)
     for edge in known:
-        share = 2.0 / math.pi if edge.lit_all_over else 1.0
-        least = np.minimum(least, share * length / edge.distance_mm)
         if not edge.lit_all_over and edge.plane_mm > 0:
             least = np.minimum(least, [_reached(scene.stack, k, view, edge) for k in range(len(least))])
+    if np.max(least) > enough:
+        share = 2.0 / math.pi if known[0].lit_all_over else 1.0
+        distance = known[0].distance_mm
+        least = np.minimum(least, share * _weighted_length(scene, value, distance) / distance)
     return np.asarray(least)
 
 

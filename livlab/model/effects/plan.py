@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 WORTH_IT = 0.01
 """Least predicted saving for which accuracy is given up."""
 
+COLUMNS = ("effect", "bound", "decision", "predicted_saving", "measured_saving", "why")
 TOGETHER = "(all that are dropped)"
 
 Decision = Literal["kept", "dropped", "forced on", "forced off", "not applicable"]
@@ -118,21 +119,9 @@ class Plan:
             raise InputError.of("stack", stack.name, "has other wavelengths or layers than the plan's", "Plan anew.")
         return without(replace(self.scene, stack=stack), self.effects, frozenset(self.dropped)).stack
 
-    def table(self) -> pd.DataFrame:
-        """Columns effect, bound, decision, predicted_saving, measured_saving, why; the group of all dropped last."""
-        import pandas as pd
-
-        rows: list[dict[str, object]] = [
-            {
-                "effect": r.effect,
-                "bound": r.bound,
-                "decision": r.decision,
-                "predicted_saving": r.predicted_saving,
-                "measured_saving": r.measured_saving,
-                "why": r.why,
-            }
-            for r in self.rows
-        ]
+    def records(self) -> list[dict[str, object]]:
+        """The table's rows by `COLUMNS`, as a run folder's plan.csv holds them; the group of all dropped last."""
+        rows: list[dict[str, object]] = [{name: getattr(r, name) for name in COLUMNS} for r in self.rows]
         if self.dropped:
             rows.append(
                 {
@@ -141,11 +130,17 @@ class Plan:
                     "decision": "dropped",
                     "predicted_saving": self.predicted_saving,
                     "measured_saving": self.measured_saving,
-                    "why": f"together {self.bound:.2g}, tolerance {self.tolerance:.2g}",
+                    "why": "together",
                 }
             )
-        table = pd.DataFrame(rows)
-        return table.astype({"bound": float, "predicted_saving": float, "measured_saving": float})
+        return rows
+
+    def table(self) -> pd.DataFrame:
+        """The same as a table."""
+        import pandas as pd
+
+        numbers = dict.fromkeys(("bound", "predicted_saving", "measured_saving"), float)
+        return pd.DataFrame(self.records(), columns=list(COLUMNS)).astype(numbers)
 
 
 def without(scene: Scene, effects: tuple[Effect, ...], dropped: Dropped) -> Scene:
@@ -162,7 +157,7 @@ class Bounds:
     def __init__(self, scene: Scene, effects: tuple[Effect, ...], *, literal: bool = False) -> None:
         self.scene, self.effects, self.literal = scene, effects, literal
         self.reason = unseen(scene)
-        self.tolerance = math.inf
+        self.tolerance = 0.0
         self.width = len(scene.stack.wavelength_nm)
         self._values: dict[Dropped, PlaneValue] = {}
         self._missed: dict[Dropped, FloatArray] = {}
@@ -185,7 +180,7 @@ class Bounds:
     def missed(self, dropped: Dropped) -> FloatArray:
         """Bound of what is lost sideways without a group."""
         if dropped not in self._missed:
-            self._missed[dropped] = missed(self.reduced(dropped), self.value(dropped))
+            self._missed[dropped] = missed(self.reduced(dropped), self.value(dropped), 0.05 * self.tolerance)
         return self._missed[dropped]
 
     def short(self, dropped: Dropped) -> FloatArray:
@@ -216,7 +211,7 @@ class Bounds:
             # Every path's weight moves the same way, so the paths inside move the value less than all of them do.
             return bound
         least = bound + self.missed(frozenset())
-        if np.max(least) > self.tolerance:
+        if np.max(least) > self.tolerance > 0:
             return least  # too much already: what the reduced scene loses could only add to it
         return bound + np.maximum(self.missed(frozenset()), self.missed(dropped))
 
@@ -338,26 +333,28 @@ def _greedy(bounds: Bounds, order: list[str], off: Dropped, tolerance: float) ->
 
 def _row(e: Effect, bounds: Bounds, rules: Mapping[str, Force], chosen: Dropped, tolerance: float, mode: str) -> Row:
     if e.drop is None:
-        return Row(e.name, e.what, float("nan"), "not applicable", float("nan"), "no plane layer has it: tracer only")
+        return Row(e.name, e.what, math.nan, "not applicable", math.nan, "tracer only")
     one = frozenset({e.name})
     bound, saving = bounds.worst(one), bounds.saving(one)
+    fits = bound <= tolerance
     decision: Decision
     if e.name in rules:
         decision = "forced on" if rules[e.name] == "on" else "forced off"
-        over = decision == "forced off" and not bound <= tolerance
-        why = "by the configuration" + ("; its bound exceeds the tolerance" if over else "")
+        why = "too much" if decision == "forced off" and not fits else "as configured"
     elif e.name in chosen:
-        decision, why = "dropped", f"moves the value by at most {bound:.2g}"
+        decision, why = "dropped", "small enough"
     else:
         decision = "kept"
-        if bounds.reason:
+        if mode == "all":
+            why = "all were asked for"
+        elif bounds.reason:
             why = bounds.reason
-        elif mode == "all":
-            why = "every effect was asked for"
-        elif not bound <= tolerance:
-            why = f"may move the value by {bound:.2g}"
+        elif not fits:
+            why = "too much"
         elif saving < WORTH_IT:
-            why = "within the tolerance, but leaving it out saves nothing"
+            why = "saves nothing"
+        elif bounds.cost(chosen | one) > (1.0 - WORTH_IT) * bounds.cost(chosen):
+            why = "saves nothing beside the dropped"
         else:
-            why = "what is dropped leaves no room for it, or has taken its saving"
+            why = "too much with the dropped"
     return Row(e.name, e.what, bound, decision, saving, why)
