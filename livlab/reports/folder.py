@@ -83,6 +83,11 @@ def read_run(folder: Path) -> RunData:
     if missing:
         raise InputError.of("claims.csv", missing, "lacks these columns", "Run the experiment again with --force.")
     result = _read_group(folder / "result.nc", None)
+    coefficients = _read_group(folder / "result.nc", "coefficients")
+    if result is not None and coefficients is not None:
+        # A group shares its parent's coordinates in NetCDF; xarray reads one group alone.
+        shared = [d for d in coefficients.dims if d not in coefficients.coords and d in result.coords]
+        coefficients = coefficients.assign_coords({d: result[d] for d in shared})
     return RunData(
         path=folder,
         manifest=manifest,
@@ -91,7 +96,7 @@ def read_run(folder: Path) -> RunData:
         claims=claims,
         tables=tables,
         result=result,
-        coefficients=_read_group(folder / "result.nc", "coefficients"),
+        coefficients=coefficients,
     )
 
 

@@ -18,7 +18,18 @@ from markupsafe import Markup
 from livlab.errors import EnvironmentProblem
 from livlab.reports import figures
 from livlab.reports.folder import RunData, read_run
-from livlab.reports.tables import Claims, Code, Picture, Section, Text, claim_rows, from_frame, number
+from livlab.reports.tables import (
+    Claims,
+    Code,
+    Picture,
+    Section,
+    Text,
+    claim_rows,
+    from_frame,
+    merge_readings,
+    number,
+    records,
+)
 
 ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
@@ -121,6 +132,14 @@ def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
                 claim_rows(run.claims, dict(run.manifest.get("claim_notes", {}))),
             )
         )
+        if len(run.table("metrics")):
+            claims.content.append(
+                from_frame(
+                    run.table("metrics"),
+                    "Each metric with its bootstrap interval over the simulation's errors and the reference's.",
+                    folded="95 % intervals",
+                )
+            )
     else:
         claims.content.append(Text("This run makes no claims."))
     return [
@@ -212,9 +231,8 @@ def _budget(run: RunData, pictures: _Pictures) -> Section:
                         f"Algorithm 2 removes up to {100 * largest:.1f} % of the incident light; no element absorbs it."
                     )
                 )
-    if "residual" in run.result:
-        worst = float(np.nanmax(np.abs(run.result["residual"].to_numpy()), initial=0.0))
-        section.content.append(Text(f"Largest share unaccounted for, over all readings and wavelengths: {worst:.1e}."))
+    worst = float(np.nanmax(np.abs(1.0 - sum(values for label, values in parts if label != "residual"))))
+    section.content.append(Text(f"Largest share unaccounted for, over all readings and wavelengths: {worst:.0e}."))
     table = run.table("budget")
     if len(table):
         section.content.append(from_frame(table, "The budget at every wavelength.", folded="The numbers"))
@@ -226,7 +244,11 @@ def _tissue(run: RunData) -> Section:
     table = run.table("tissue")
     if len(table):
         section.content.append(
-            from_frame(table, "Layers from the lit side down, their elements and parameters, and where each is from.")
+            from_frame(
+                merge_readings(table),
+                "Layers from the lit side down, their elements and parameters, and where each is from.",
+                only=["layer", "element", "parameter", "value", "unit", "reading", "source"],
+            )
         )
     return section
 
@@ -241,8 +263,18 @@ def _readings(run: RunData) -> Section:
                 "rows where the readings differ are shaded."
             )
         )
+        words = ["text", "trouble"]
+        names = [c for c in table.columns if c not in {"row", "option", "choices", "differs", *words}]
+        if "row" in table:
+            table = table.assign(row=[number(r) if pd.notna(r) else None for r in table["row"]])
         section.content.append(
-            from_frame(table, "One row a place where the text cannot be taken at its word.", marked="differs")
+            from_frame(
+                table,
+                "One row a place where the text cannot be taken at its word; rows without a number are livlab's own.",
+                only=["row", "option", *names, *words],
+                titles={"text": "what the text says"},
+                marked="differs",
+            )
         )
     return section
 
@@ -251,9 +283,7 @@ def _provenance(run: RunData) -> Section:
     section = Section("provenance", "Where every number came from")
     table = run.table("provenance")
     if len(table):
-        section.content.append(
-            from_frame(table, "Datasets this run used; each was checked against its hash.", short=["sha256"])
-        )
+        section.content.append(records(table, "Datasets this run used; each was checked against its hash.", "name"))
     return section
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import pandas as pd
 
 NOT_AVAILABLE = "not available"
+LONG_TEXT = 28
+"""Characters beyond which a column of text gets room to wrap in."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,15 @@ class Code:
     text: str
     folded: str = ""
     kind: str = "code"
+
+
+@dataclass(frozen=True)
+class Records:
+    """A list of things, each with a name and a few lines about it."""
+
+    caption: str
+    items: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]
+    kind: str = "records"
 
 
 @dataclass(frozen=True)
@@ -151,11 +162,15 @@ def from_frame(
     columns = []
     for name in names:
         numeric = bool(pd.api.types.is_numeric_dtype(frame[name]) and not pd.api.types.is_bool_dtype(frame[name]))
-        css = "num" if numeric else ("hash" if name in short else "")
+        long = not numeric and frame[name].astype(str).str.len().max() > LONG_TEXT
+        css = "num" if numeric else ("hash" if name in short else ("long" if long else ""))
         columns.append(Column((titles or {}).get(name, name.replace("_", " ")), numeric, css))
     rows = []
     for record in frame.to_dict("records"):
-        cells = tuple(number(record[n])[: 12 if n in short else None] for n in names)
+        cells = tuple(
+            "–" if not column.numeric and pd.isna(record[n]) else number(record[n])[: 12 if n in short else None]
+            for n, column in zip(names, columns, strict=True)
+        )
         rows.append(Row(cells, bool(marked) and str(record.get(marked)).lower() in {"true", "yes", "1"}))
     return Table(caption, tuple(columns), tuple(rows), folded)
 
@@ -183,3 +198,23 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
             }
         )
     return tuple(rows)
+
+
+def merge_readings(frame: pd.DataFrame) -> pd.DataFrame:
+    """Join the rows that several readings share; `all` where every reading has the row."""
+    if "reading" not in frame.columns or not len(frame):
+        return frame
+    every = list(dict.fromkeys(frame["reading"]))
+    rest = [c for c in frame.columns if c != "reading"]
+    joined = frame.groupby(rest, sort=False, dropna=False)["reading"].agg(list).reset_index()
+    joined["reading"] = ["all" if len(r) == len(every) else ", ".join(r) for r in joined["reading"]]
+    return joined[["reading", *rest]]
+
+
+def records(frame: pd.DataFrame, caption: str, name: str) -> Records:
+    """One record a row, named by a column; empty fields are left out."""
+    items = []
+    for row in frame.to_dict("records"):
+        lines = tuple((str(k).replace("_", " "), number(v)) for k, v in row.items() if k != name and not pd.isna(v))
+        items.append((str(row.get(name)), lines))
+    return Records(caption, tuple(items))
