@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from livlab.errors import InputError
-from livlab.model.tissue.mie import mie, mie_intensity, mie_phase, size_parameter
+from livlab.model.tissue.mie import _miepython, mie, mie_intensity, mie_phase, size_parameter
 from livlab.model.tissue.phase import Rayleigh, Tabulated
 
 
@@ -137,13 +137,13 @@ def test_same_values_where_nothing_can_be_cached() -> None:
         "import warnings; warnings.simplefilter('ignore')\n"
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
-        "from livlab.model.tissue.mie import mie\n"
-        "import miepython\n"
-        "print(miepython.USE_JIT, *(float(v) for v in mie([1.5, 1.0 + 1e-6], 3.0).q_sca))"
+        "from livlab.model.tissue.mie import _miepython, mie\n"
+        "print(_miepython().is_compiled, *(float(v) for v in mie([1.5, 1.0 + 1e-6], 3.0).q_sca))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     jit, *values = done.stdout.split()
     assert jit == "False"
+    assert _miepython().is_compiled
     assert [float(v) for v in values] == pytest.approx(mie([1.5, 1.0 + 1e-6], 3.0).q_sca.tolist(), rel=1e-9)
 
 

@@ -262,31 +262,28 @@ def finest(table: Callable[[int], Tabulated], x: float, g: float, tolerance: flo
     return made
 
 
-def _miepython() -> Any:
-    """The library with its compiled kernels, which it takes only if told before its first import.
+class _Library(NamedTuple):
+    single_sphere: Callable[..., tuple[float, float, float, float]]
+    an_bn: Callable[..., tuple[ComplexArray, ComplexArray]]
+    is_compiled: bool
 
-    Where numba can write its cache nowhere, the import fails; then the plain kernels serve, a hundred times
-    slower.
+
+@lru_cache(maxsize=1)
+def _miepython() -> _Library:
+    """The library's compiled kernels, taken from their own module.
+
+    The package itself chooses between plain and compiled kernels once, by an environment variable at its first
+    import, which may have happened elsewhere. Where numba can write its cache nowhere the compiled module cannot
+    be imported; then the plain kernels serve, a hundred times slower, with a warning.
     """
-    import os
-    import sys
     import warnings
 
-    if "miepython" not in sys.modules:
-        before = os.environ.get("MIEPYTHON_USE_JIT")
-        os.environ["MIEPYTHON_USE_JIT"] = "1"
-        try:
-            import miepython
-        except RuntimeError as trouble:
-            os.environ["MIEPYTHON_USE_JIT"] = "0"
-            warnings.warn(f"miepython runs uncompiled: {trouble}", UserWarning, stacklevel=3)
-            import miepython
-        finally:
-            if before is None:
-                del os.environ["MIEPYTHON_USE_JIT"]
-            else:
-                os.environ["MIEPYTHON_USE_JIT"] = before
-        return miepython
     import miepython
 
-    return miepython
+    try:
+        from miepython import mie_jit
+
+        return _Library(mie_jit._single_sphere_nb, mie_jit._an_bn_nb, True)
+    except (ImportError, AttributeError, RuntimeError) as trouble:
+        warnings.warn(f"miepython runs uncompiled: {trouble}", UserWarning, stacklevel=2)
+        return _Library(miepython.single_sphere, miepython.an_bn, False)
