@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from livlab.errors import InputError
+from livlab.model.transport.accuracy import Accuracy
 
 Extent = Annotated[float, Field(gt=0.0, le=1e4)] | Literal["infinite"]
 """A length in mm, or a sample that never ends sideways."""
@@ -154,7 +155,21 @@ class AddingDoublingSolver(_Part):
     tolerance: float = Field(1e-6, gt=0.0, le=1e-2, description="Absolute error of the totals.")
 
 
-Solver = Annotated[WalkSolver | AddingDoublingSolver, Field(discriminator="kind")]
+class AutoSolver(_Part):
+    """The cheapest solver that can meet the experiment's `[accuracy]` (`livlab.model.transport.ladder`)."""
+
+    kind: Literal["auto"] = "auto"
+    pilot: int = Field(65536, ge=1000, le=10**8, description="Samples that first gauge each wavelength's noise.")
+    largest_launch: int = Field(4_000_000, ge=1000, le=10**9, description="Samples in one launch, all wavelengths.")
+    max_samples: int = Field(10**9, ge=1000, le=10**11, description="Samples after which a wavelength is given up.")
+    max_seconds: float | None = Field(None, gt=0.0, description="Seconds after which a walk stops, unfinished.")
+    seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
+
+
+DEFAULT_ACCURACY = Accuracy(relative=0.002)
+"""What an `AutoSolver` is to meet if an experiment has no wish: what `WalkSolver` aims at, too."""
+
+Solver = Annotated[WalkSolver | AddingDoublingSolver | AutoSolver, Field(discriminator="kind")]
 """How the light is followed, by `kind`."""
 
 

@@ -3,59 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from livlab.acquire.instruments import Collinear, FibreProbe, HyperspectralCamera, Instrument, IntegratingSphere
+from livlab.model.transport.geometry import Readout
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
 from livlab.units import FloatArray
 
-if TYPE_CHECKING:
-    import xarray as xr
+__all__ = ["PROBE_BINS", "Readout", "probe_weights", "readout"]
 
 PROBE_BINS = 48
-
-
-@dataclass(frozen=True)
-class Readout:
-    """An instrument in a solver's terms: value = Σ weights · binned flux + specular_weight · specular.
-
-    Attributes
-    ----------
-    source, tally, half_width_mm
-        Light, bins and sample of a walk.
-    weights
-        (θ, r) weight of each bin of the reflected flux.
-    specular_weight
-        Weight of the surface's mirror reflection.
-    mirror_seen
-        Whether the mirror direction lies within the cone, so that what inner interfaces return unscattered is read.
-    notes
-        What was simplified.
-    """
-
-    source: Source
-    tally: Tally
-    half_width_mm: float | None
-    weights: FloatArray
-    specular_weight: float
-    mirror_seen: bool
-    notes: tuple[str, ...] = ()
-
-    def of_endless(self, solved: xr.Dataset) -> FloatArray:
-        """(W,) the reading of an endless sample as adding–doubling solved it, through an endless port."""
-        from livlab.model.transport.angular import cone_fraction
-
-        if self.tally.theta_edges:
-            seen = cone_fraction(solved, math.cos(self.tally.theta_edges[-1])).to_numpy()
-            if self.mirror_seen:
-                seen = seen + solved["unscattered_reflectance"].to_numpy()
-        else:
-            seen = solved["reflectance"].to_numpy()
-        return np.asarray(float(self.weights[0, 0]) * seen + self.specular_weight * solved["specular"].to_numpy())
 
 
 def readout(instrument: Instrument, n_above: FloatArray) -> Readout:

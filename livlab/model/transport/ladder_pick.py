@@ -1,0 +1,160 @@
+"""Which rung: the cheapest that holds everywhere and can meet the wish, by what short trials of each take."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import cast
+
+from livlab.errors import InputError
+from livlab.model.tissue.stack import OpticalStack
+from livlab.model.transport.accuracy import Accuracy
+from livlab.model.transport.geometry import Readout
+from livlab.model.transport.ladder_approximate import (
+    DIFFUSION_BOUND,
+    DIFFUSION_RING_BOUND,
+    KUBELKA_MUNK_BOUND,
+    diffusion_value,
+    kubelka_munk_value,
+)
+from livlab.model.transport.ladder_domain import RUNGS, domain
+from livlab.model.transport.sampling import Clock, Sampling, Walks
+from livlab.model.transport.walk_tables import Estimator
+
+WORTH_NO_WALK = 3.0
+"""Seconds of adding–doubling below which a walk is not even tried: its compiling and its pilot take as long."""
+
+SPARE = 0.2
+"""Adding–doubling is asked for this share of the wished error: its own estimate is one of totals, not of cones."""
+
+TOLERANCES = (1e-9, 1e-4)
+"""Finest and coarsest tolerance that is asked of adding–doubling."""
+
+
+@dataclass(frozen=True)
+class Picked:
+    """A rung, and what its choice has already brought.
+
+    Attributes
+    ----------
+    solver
+        The rung.
+    seconds
+        Time it was thought to take, if that was gauged.
+    tolerance
+        For adding–doubling.
+    walks
+        For a walk: its state after the pilot, if there was one.
+    notes
+        Why this rung.
+    """
+
+    solver: str
+    seconds: float | None
+    tolerance: float | None
+    walks: Walks | None
+    notes: tuple[str, ...]
+
+
+def pick(
+    stack: OpticalStack,
+    view: Readout,
+    accuracy: Accuracy,
+    *,
+    account: bool = False,
+    sampling: Sampling | None = None,
+    variant: str = "llvm",
+    clock: Clock = time.perf_counter,
+) -> Picked:
+    """Choose the cheapest rung that can meet a wish.
+
+    Two fluxes and diffusion answer where they hold and the wish is no finer than what they are off. Adding–doubling
+    answers where it holds at every wavelength, unless a piloted walk would be done before it. Else the walk of
+    expected values does; the literal walk gives the same with more samples and is never chosen.
+
+    Parameters
+    ----------
+    account
+        Whether the light's whole account is wanted beside the reading, which two fluxes and diffusion do not give.
+
+    Other parameters as in `ladder.solve`.
+    """
+    started = clock()
+    if not account and accuracy.seconds is None:
+        crude = _crude(stack, view, accuracy)
+        if crude is not None:
+            return crude
+    where = domain("adding-doubling", stack, view)
+    exact = None
+    if where.valid.all():
+        tolerance, seconds = _gauge(stack, view, accuracy, clock)
+        exact = Picked("adding-doubling", seconds, tolerance, None, (f"auto: adding-doubling, about {_s(seconds)}",))
+        left = math.inf if accuracy.seconds is None else accuracy.seconds - (clock() - started)
+        if seconds <= min(left, WORTH_NO_WALK) or (accuracy.seconds is not None and seconds <= left):
+            return exact
+    why = "auto: walk expected" + (f"; adding-doubling: {'; '.join(where.reasons)}" if where.reasons else "")
+    rule = rule_of(accuracy, "walk expected", sampling)
+    if rule.seconds is not None:
+        # At least a sliver: a wish that the gauging used up is still answered, by one launch.
+        rule = replace(rule, seconds=max(rule.seconds - (clock() - started), 0.01 * rule.seconds))
+    walks = Walks(stack, view, rule, variant=variant, clock=clock)
+    if exact is None or accuracy.seconds is not None:
+        if exact is not None:
+            why += f"; adding-doubling would take about {_s(exact.seconds or 0.0)}"
+        return Picked("walk expected", None, None, walks, (why,))
+    first = walks.plan()
+    assert first is not None and exact.seconds is not None
+    walks.launch(*first)
+    left = walks.done()[1]
+    said = f"adding-doubling would take about {_s(exact.seconds)}, the walk {_s(left)}"
+    if exact.seconds <= left:
+        return Picked("adding-doubling", exact.seconds, exact.tolerance, None, (f"auto: adding-doubling; {said}",))
+    return Picked("walk expected", left, None, walks, (f"auto: walk expected; {said}",))
+
+
+def rule_of(accuracy: Accuracy, rung: str, sampling: Sampling | None = None) -> Sampling:
+    """What rules a walk that is to meet a wish: limits and seed as given, rule and estimator replaced."""
+    if rung not in RUNGS:
+        raise InputError.of("solver", rung, f"must be auto or one of {', '.join(RUNGS)}", "Name one of them.")
+    base = sampling or Sampling(relative=0.01)
+    estimator = cast(Estimator, rung.removeprefix("walk ")) if rung.startswith("walk ") else base.estimator
+    return replace(base, samples=None, estimator=estimator, **accuracy.model_dump())
+
+
+def _crude(stack: OpticalStack, view: Readout, accuracy: Accuracy) -> Picked | None:
+    """Two fluxes or diffusion, if what they are off is no more than wished; the better of the two first."""
+    ring = bool(view.tally.radius_edges)
+    for rung, bound, of in (
+        ("diffusion", DIFFUSION_RING_BOUND if ring else DIFFUSION_BOUND, diffusion_value),
+        ("kubelka-munk", KUBELKA_MUNK_BOUND, kubelka_munk_value),
+    ):
+        if accuracy.relative is not None and accuracy.relative < bound:
+            continue
+        if not domain(rung, stack, view).valid.all():
+            continue
+        value = of(stack, view)
+        target = accuracy.target(value)
+        if target is not None and float(bound * value.max()) <= target:
+            return Picked(rung, 0.0, None, None, (f"auto: {rung}, off by at most {100 * bound:g} % here",))
+    return None
+
+
+def _gauge(stack: OpticalStack, view: Readout, accuracy: Accuracy, clock: Clock) -> tuple[float, float]:
+    """Tolerance that the wish asks of adding–doubling, and the seconds that all wavelengths take with it."""
+    from livlab.model.transport.adding_doubling import adding_doubling
+
+    middle = stack.at([len(stack.wavelength_nm) // 2])
+    mu0 = math.cos(view.source.angle_rad)
+    started = clock()
+    # The curve's maximum is at least what one wavelength reads, so that its share is a wish at least as fine.
+    value = view.of_endless(adding_doubling(middle, mu0=mu0, tolerance=1e-3))
+    target = accuracy.target(value)
+    wanted = 1e-6 if target is None else SPARE * target / max(1.0, float(view.weights.max()))
+    tolerance = min(max(wanted, TOLERANCES[0]), TOLERANCES[1])
+    adding_doubling(middle, mu0=mu0, tolerance=tolerance)
+    return tolerance, (clock() - started) * len(stack.wavelength_nm)
+
+
+def _s(seconds: float) -> str:
+    return f"{seconds:.2g} s" if seconds < 100 else f"{seconds:.0f} s"
