@@ -20,7 +20,7 @@ class BarProgress:
 
     def __init__(self, bars: Bars, title: str) -> None:
         self._bars = bars
-        self._title = title
+        self._title = title.replace("[", r"\[")
         self._tasks: dict[str, TaskID] = {}
         self._shares: dict[str, float] = {}
         self._overall: TaskID | None = None
@@ -29,7 +29,7 @@ class BarProgress:
         """Draw the bars, empty."""
         self._overall = self._bars.add_task(f"[bold]{self._title}", total=max(1, len(tasks)), text="")
         for task in tasks:
-            self._tasks[task] = self._bars.add_task(f"  {task}", total=1.0, start=False, text="")
+            self._tasks[task] = self._bars.add_task("  " + task.replace("[", r"\["), total=1.0, start=False, text="")
             self._shares[task] = 0.0
 
     def advance(self, task: str, share: float, text: str = "") -> None:
@@ -76,6 +76,20 @@ class PlainProgress:
         self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
+def bars(console: Console) -> Bars:
+    """Bars as a run shows them: share, time taken, time left."""
+    return Bars(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("[dim]{task.fields[text]}"),
+        console=console,
+    )
+
+
 @contextmanager
 def watched(title: str, *, quiet: bool) -> Iterator[Progress]:
     """Give the progress that suits the terminal: none if quiet, lines if standard error is no terminal, else bars."""
@@ -85,14 +99,5 @@ def watched(title: str, *, quiet: bool) -> Iterator[Progress]:
     elif not console.is_terminal or not sys.stderr.isatty():
         yield PlainProgress(console)
     else:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("[dim]{task.fields[text]}"),
-        )
-        with Bars(*columns, console=console) as bars:
-            yield BarProgress(bars, title.replace("[", r"\["))
+        with bars(console) as drawn:
+            yield BarProgress(drawn, title)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import re
 from collections.abc import Iterator
@@ -163,3 +164,21 @@ def test_quiet_progress_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
         told.advance("a", 0.5)
         told.say("no")
     assert capsys.readouterr() == ("", "")
+
+
+def test_bars_show_each_task_and_all_with_the_time_left() -> None:
+    from livlab.cli.progress import BarProgress, bars
+
+    console = Console(width=160, force_terminal=True, record=True, file=io.StringIO())
+    with bars(console) as drawn:
+        told = BarProgress(drawn, "Liver [1]")
+        told.begin(["thesis", "measured"])
+        told.advance("thesis", 0.5, "2.0 M samples")
+        told.advance("thesis", 0.25)
+        told.say("a [note]")
+        told.advance("measured", 1.0)
+        shares = [(task.description, task.completed, task.total) for task in drawn.tasks]
+        assert shares == [("[bold]Liver \\[1]", 1.5, 2.0), ("  thesis", 0.5, 1.0), ("  measured", 1.0, 1.0)]
+    shown = console.export_text()
+    for text in ("Liver [1]", "thesis", "50%", "measured", "100%", "left", "a [note]"):
+        assert text in shown
