@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.acquire.instruments import Instrument, Solver, WalkSolver
+from livlab.acquire.instruments import DEFAULT_ACCURACY, AutoSolver, Instrument, Solver, WalkSolver
 from livlab.config import Experiment, Label, Section
 from livlab.config_errors import nearest
 from livlab.errors import InputError
 from livlab.metrics import Normalisation, ReferenceErrors
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading, ReadingName
+from livlab.model.transport.accuracy import Accuracy
 
 if TYPE_CHECKING:
     from livlab.units import FloatArray
@@ -140,6 +141,9 @@ class SpectralExperiment(Experiment):
     wavelengths: Wavelengths = Field(description="Where the spectrum is sampled.")
     instrument: Instrument = Field(description="What looks at it.")
     solver: Solver = Field(default_factory=WalkSolver, description="How light is followed, and how well.")
+    accuracy: Accuracy | None = Field(
+        None, description="What the result is to be worth; for solver.kind = 'auto', which it implies."
+    )
     variant: Literal["llvm", "cuda"] = Field("llvm", description="Where a walk runs: processor or graphics card.")
     processing: Processing = Field(default_factory=Processing, description="What is done to the curves.")
     reading: tuple[Reading, ...] = Field((), strict=False, description="Further readings, with options of their own.")
@@ -150,6 +154,18 @@ class SpectralExperiment(Experiment):
     def all_readings(self) -> tuple[Reading, ...]:
         """The named readings, then those with options of their own."""
         return (*(READINGS[name] for name in self.readings), *self.reading)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _wish(cls, given: Any) -> Any:
+        """A wish alone asks for the solver that can meet it; that solver without a wish has the default one."""
+        if not isinstance(given, dict):
+            return given
+        solver, wish = given.get("solver"), given.get("accuracy")
+        if solver is None and wish is not None:
+            return {**given, "solver": {"kind": "auto"}}
+        auto = solver.get("kind") == "auto" if isinstance(solver, dict) else isinstance(solver, AutoSolver)
+        return {**given, "accuracy": DEFAULT_ACCURACY} if auto and wish is None else given
 
     @model_validator(mode="after")
     def _holds_together(self) -> Self:
@@ -169,7 +185,14 @@ class SpectralExperiment(Experiment):
             if criterion.against is not None:
                 _known(f"criterion[{k}].against", criterion.against, labels)
         _once("criterion", [name for _, _, name in self.claims()])
-        if isinstance(self.solver, WalkSolver) and "seed" in self.solver.model_fields_set:
+        if self.accuracy is not None and not isinstance(self.solver, AutoSolver):
+            raise InputError.of(
+                "solver.kind",
+                self.solver.kind,
+                "has an accuracy of its own, so that [accuracy] would not rule",
+                "Write solver.kind = 'auto', or leave [accuracy] out.",
+            )
+        if isinstance(self.solver, WalkSolver | AutoSolver) and "seed" in self.solver.model_fields_set:
             raise InputError.of("solver.seed", self.solver.seed, "an experiment has one seed", "Set `seed` at the top.")
         self.tissue.build()
         self._curves_can_be_made()

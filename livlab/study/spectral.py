@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.instruments import WalkSolver
+from livlab.acquire.instruments import AutoSolver, WalkSolver
 from livlab.acquire.spectrometer import Progress, measure
 from livlab.config_spectral import SpectralExperiment
 from livlab.criteria import Claim
@@ -70,11 +70,7 @@ def _work(
     costs: list[dict[str, object]],
 ) -> None:
     if isinstance(config.solver, WalkSolver):
-        from livlab.llvm import choose_libllvm
-
-        run.info["variant"] = config.variant
-        if config.variant == "llvm":
-            run.info["libllvm"] = choose_libllvm().name
+        _name_device(run, config.variant)
     run.progress.begin(list(stacks))
     pieces: dict[str, xr.Dataset] = {}
     for name, stack in stacks.items():
@@ -91,8 +87,14 @@ def _work(
                 "seconds": walking,
                 "samples": samples,
                 "samples_per_second": samples / walking if samples else None,
+                "solver": piece.attrs["rung"],
+                "error": tables.largest_error(piece),
+                "relative_error": tables.largest_error(piece) / max(float(piece["value"].max()), 1e-300),
             }
         )
+    walked = next((p.attrs["variant"] for p in pieces.values() if p.attrs["variant"] != "none"), None)
+    if walked is not None and isinstance(config.solver, AutoSolver):
+        _name_device(run, walked)
     _note(run, pieces)
     started = time.perf_counter()
     claims, metrics = judge(config, pieces, references)
@@ -100,10 +102,19 @@ def _work(
     _write(run, config, tissue, stacks, pieces, references, claims, metrics, costs)
 
 
+def _name_device(run: Run, variant: str) -> None:
+    """Say in the manifest what walks; fails early where nothing can."""
+    from livlab.llvm import choose_libllvm
+
+    run.info["variant"] = variant
+    if variant == "llvm":
+        run.info["libllvm"] = choose_libllvm().name
+
+
 def _measured(run: Run, config: SpectralExperiment, name: str, stack: OpticalStack) -> xr.Dataset:
     """One reading's measurement: as an earlier call left it, gone on from there, or from the start."""
     solver = config.solver
-    if isinstance(solver, WalkSolver):
+    if isinstance(solver, WalkSolver | AutoSolver):
         solver = solver.model_copy(update={"seed": reading_seed(config.seed, name)})
     key = f"measure {name}"
     earlier = run.load_piece(key)
@@ -122,7 +133,15 @@ def _measured(run: Run, config: SpectralExperiment, name: str, stack: OpticalSta
             saved = time.monotonic()
         run.stop_if_asked()
 
-    done = measure(stack, config.instrument, solver, variant=config.variant, on_round=on_round, resume=earlier)
+    done = measure(
+        stack,
+        config.instrument,
+        solver,
+        accuracy=config.accuracy,
+        variant=config.variant,
+        on_round=on_round,
+        resume=earlier,
+    )
     done = done.assign_attrs(finished=1)
     run.save_piece(key, done)
     run.progress.advance(name, 1.0)
@@ -174,6 +193,7 @@ def _write(
         "provenance.csv": tables.provenance(tissue, readings, config.wavelengths.grid(), references),
         "metrics.csv": (tables.METRICS, metrics),
         "costs.csv": (tables.COSTS, costs),
+        "convergence.csv": tables.convergence(pieces),
     }.items():
         run.write_table(name, columns, rows)
     run.write_claims(claims)

@@ -20,7 +20,7 @@ from livlab.units import FloatArray
 Rows = list[dict[str, object]]
 Made = tuple[Sequence[str], Rows]
 
-COSTS = ("stage", "reading", "seconds", "samples", "samples_per_second")
+COSTS = ("stage", "reading", "seconds", "samples", "samples_per_second", "solver", "error", "relative_error")
 METRICS = ("criterion", "points", "value", "standard_error", "low_95", "high_95", "bias", "resamples")
 _PROVENANCE = ("name", "used_for", "source", "doi", "kind", "uncertainty", "licence", "sha256")
 
@@ -90,6 +90,21 @@ def budget(pieces: dict[str, xr.Dataset]) -> Made:
             shares = {_BUDGET_NAMES.get(b, b): float(p[k]) for b, p in parts.items()}
             out.append({"reading": name, "wavelength_nm": float(x), **shares, "residual": float(residual[k])})
     return ("reading", "wavelength_nm", *(_BUDGET_NAMES.get(b, b) for b in BUDGET), "residual"), out
+
+
+def convergence(pieces: dict[str, xr.Dataset]) -> Made:
+    """How each reading's error fell while it was sampled: root mean square standard error over the wavelengths."""
+    names = ("seconds", "samples", "error")
+    out: Rows = []
+    for reading, piece in pieces.items():
+        columns = [np.atleast_1d(piece.attrs.get(f"trace_{name}", [])).tolist() for name in names]
+        out += [{"reading": reading, **dict(zip(names, row, strict=True))} for row in zip(*columns, strict=True)]
+    return ("reading", *names), out
+
+
+def largest_error(piece: xr.Dataset) -> float:
+    """The largest error over the wavelengths: of sampling, or what a deterministic solver estimates of its own."""
+    return float(piece["error_estimate" if "error_estimate" in piece else "standard_error"].max())
 
 
 _BUDGET_NAMES = {"reflectance": "diffuse_reflectance"}

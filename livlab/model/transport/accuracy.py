@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -28,19 +28,17 @@ class Accuracy(BaseModel):
         None, gt=0.0, le=1e6, description="Time that all wavelengths of a reading may take, by the clock."
     )
 
-    @model_validator(mode="before")
-    @classmethod
-    def _exactly_one(cls, given: Any) -> Any:
-        if isinstance(given, dict):
-            wishes = [key for key in ("standard_error", "relative", "seconds") if given.get(key) is not None]
-            if len(wishes) != 1:
-                raise InputError.of(
-                    "accuracy",
-                    " and ".join(wishes) or None,
-                    "needs exactly one of standard_error, relative and seconds",
-                    "Keep one." if wishes else "Write relative = 0.01, say.",
-                )
-        return given
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        wishes = [key for key, value in self if value is not None]
+        if len(wishes) != 1:
+            raise InputError.of(
+                "accuracy",
+                " and ".join(wishes) or None,
+                "needs exactly one of standard_error, relative and seconds",
+                "Keep one." if wishes else "Write relative = 0.01, say.",
+            )
+        return self
 
     def target(self, value: FloatArray) -> float | None:
         """Error that the wish allows at every wavelength, given the curve's (W,) values; None if time rules."""
