@@ -59,6 +59,7 @@ class Columns:
         self.eta, self.contrast = ratio, contrast
         self.mfp = [[self.each(x) for x in layer] for layer in t.mfp]
         self.survive = self._ways(t.survive)
+        self.loss = self._ways(t.loss)
         self.kind, self.g, self.offset = self._ways(t.kind, d.UInt32), self._ways(t.g), self._ways(t.offset, d.UInt32)
         means = FOCUS if settings.space else REDIRECT_MEAN
         focus = np.abs([means[name] for name in REDIRECTS])[t.redirect]

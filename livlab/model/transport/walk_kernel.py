@@ -25,15 +25,20 @@ from livlab.model.transport.walk_tables import ISOTROPIC
 NEGLIGIBLE = 1e-9
 """A weight that redirect factors brought below this is given up and counted as residual."""
 
+LUMP = 2.0**-12
+"""Where less than this share is lost at a meeting, this share is lost, more rarely: a single-precision weight
+takes a loss of 1e-9 for none."""
+
 _TINY = 1e-20
 _FAR = 1e30  # a clear endless layer is crossed, not lost in NaN
 
 
 @dataclass
 class Way:
-    """What was met: survival, shortest free path, phase function and redirect factor."""
+    """What was met: chances of survival and absorption, shortest free path, phase function and redirect factor."""
 
     survive: Any
+    loss: Any
     below: Any
     kind: Any
     g: Any
@@ -238,23 +243,24 @@ class _Walk:
                 value = dr.select(winner == k, self._pick(inside, columns[k]), value)
             return value
 
-        total = None
+        survive, loss = None, None if self.analog else self._pick(inside, c.loss[0])
         if not self.analog and count > 1:
             shares = [self._pick(inside, x) for x in c.survive]
             if self.shape.short:
-                shares = [
-                    dr.select(free >= self._pick(inside, x), share, 0.0)
-                    for x, share in zip(c.below, shares, strict=True)
-                ]
-            total = sum(shares[1:], shares[0])
-            left = random.uniform(d, stream.next_uint32()) * total
+                for k, x in enumerate(c.below):
+                    long = free >= self._pick(inside, x)
+                    loss = loss + dr.select(long, 0.0, shares[k])
+                    shares[k] = dr.select(long, shares[k], 0.0)
+            survive = sum(shares[1:], shares[0])
+            left = random.uniform(d, stream.next_uint32()) * survive
             winner, passed = d.UInt32(0), shares[0]
             for k in range(1, count):
                 winner = dr.select(left >= passed, d.UInt32(k), winner)
                 passed = passed + shares[k]
-        survive = chosen(c.survive) if total is None else total
+        survive = chosen(c.survive) if survive is None else survive
+        loss = chosen(c.loss) if loss is None else loss
         columns = (c.below, c.kind, c.g, c.offset, c.focus, c.redirect)
-        return Way(survive, *(chosen(x) for x in columns))
+        return Way(survive, loss, *(chosen(x) for x in columns))
 
     def _turned(self, p: Photon, way: Way, u: Any, bits: Any) -> tuple[Any, Any, Any, Any]:
         """New direction, the cosine of its azimuth in the sample's frame, and the sign a drawn factor carries."""
@@ -292,26 +298,31 @@ class _Walk:
     def _survival(self, stream: Any, before: Any, way: Way, free: Any, azimuth: Any, sign: Any) -> tuple[Any, Any, Any]:
         """Weight after a meeting, what was absorbed, and what the redirect factor took."""
         d, dr = self.d, self.dr
-        chance = way.survive
+        chance, loss = way.survive, way.loss
         if self.shape.short and (self.analog or self.shape.ways == 1):
-            chance = dr.select(free >= way.below, chance, 0.0)
-        drawn = random.uniform(d, stream.next_uint32())
+            long = free >= way.below
+            chance, loss = dr.select(long, chance, 0.0), dr.select(long, loss, 1.0)
+        drawn = random.fine_uniform(d, stream.next_uint32())
+        focus = way.focus if self.redirects and not self.analog and not self.shape.steered else None
         if self.analog:
-            kept = dr.select(drawn < chance, before, 0.0)
+            kept = dr.select(drawn < loss, 0.0, before)
+            absorbed = before - kept
+        elif focus is None:
+            # Below the capture weight a photon survives by chance, whole: unbiased, and energy stays exact.
+            whole = dr.abs(before) < self.capture
+            lump = dr.select(whole, d.Float(1.0), LUMP)
+            by_chance = dr.select(drawn * lump < loss, lump, 0.0)
+            kept = dr.select(whole | (loss < LUMP), dr.fma(-before, by_chance, before), before * chance)
             absorbed = before - kept
         else:
-            # Below the capture weight a photon survives by chance, whole: unbiased, and energy stays exact.
-            focus = way.focus if self.redirects and not self.shape.steered else None
-            both = chance if focus is None else chance * focus
+            both = chance * focus
             whole = dr.abs(before) < self.capture
             lives = drawn < both
             kept = dr.select(whole, dr.select(lives, before, 0.0), before * both)
-            absorbed = before - kept
-            if focus is not None:
-                taken = before * (1.0 - chance)
-                absorbed = dr.select(whole, dr.select(lives, 0.0, taken / (1.0 - both)), taken)
-                if sign is not None:
-                    kept = kept * sign
+            taken = before * loss
+            absorbed = dr.select(whole, dr.select(lives, 0.0, taken / (1.0 - both)), taken)
+            if sign is not None:
+                kept = kept * sign
         if self.redirects and (self.analog or self.shape.steered):
             kept = kept * self._factor(way.redirect, azimuth)
         return kept, absorbed, before - absorbed - kept if self.redirects else None

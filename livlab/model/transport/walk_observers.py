@@ -107,26 +107,29 @@ def _by_wavelength(array: Any, wavelengths: int) -> FloatArray:
 class Register:
     """A lane's own sum and sum of squares, over at most `LANE_PHOTONS` photons before the host adds in double.
 
-    The sum counts in units of 2⁻²² (no drift, whatever the number of terms), the squares in float32 (they
-    only make a standard error, and may be far below 1).
+    The sum counts in units of 2⁻²² (no drift, whatever the number of terms) and keeps what rounding to them
+    leaves, so that contributions far below a unit count too; the squares are in float32 (they only make a
+    standard error, and may be far below 1).
     """
 
     @staticmethod
-    def start(d: Device, lanes: int) -> tuple[Any, Any]:
+    def start(d: Device, lanes: int) -> tuple[Any, Any, Any]:
         """Zeros."""
-        return d.dr.zeros(d.Int32, lanes), d.dr.zeros(d.Float, lanes)
+        return d.dr.zeros(d.Int32, lanes), d.dr.zeros(d.Float, lanes), d.dr.zeros(d.Float, lanes)
 
     @staticmethod
-    def add(d: Device, sums: tuple[Any, Any], where: Any, value: Any) -> tuple[Any, Any]:
+    def add(d: Device, sums: tuple[Any, Any, Any], where: Any, value: Any) -> tuple[Any, Any, Any]:
         """Add one photon's contribution, at most 1 in magnitude, in some lanes."""
         v = d.dr.select(where, value, 0.0)
-        return sums[0] + d.Int32(d.dr.round(v * LANE_FIXED_POINT)), d.dr.fma(v, v, sums[1])
+        units = v * LANE_FIXED_POINT
+        whole = d.dr.round(units)
+        return sums[0] + d.Int32(whole), sums[1] + (units - whole), d.dr.fma(v, v, sums[2])
 
     @staticmethod
-    def moments(sums: tuple[Any, Any], wavelengths: int, samples: int) -> Moments:
+    def moments(sums: tuple[Any, Any, Any], wavelengths: int, samples: int) -> Moments:
         """Sums over lanes, (W,)."""
-        total, squares = (_by_wavelength(x, wavelengths) for x in sums)
-        return Moments(samples, total / LANE_FIXED_POINT, squares)
+        units, rest, squares = (_by_wavelength(x, wavelengths) for x in sums)
+        return Moments(samples, (units + rest) / LANE_FIXED_POINT, squares)
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,9 @@ class Tables:
         expected: (L, 1, W) mean free path of the summed rate; analog: (L, E, W) of each element; inf where 0.
     survive
         expected: (L, C, W) Σ rate·albedo of the way's elements / Σ rate; analog: (L, E, W) albedo.
+    loss
+        expected: (L, 1, W) Σ rate·(1 − albedo) / Σ rate; analog: (L, E, W) 1 − albedo. Single precision knows
+        an albedo of 1 − 1e-9 by this only.
     below
         (L, ways) absorb_below_mm.
     redirect
@@ -102,6 +105,7 @@ class Tables:
     index: FloatArray
     mfp: FloatArray
     survive: FloatArray
+    loss: FloatArray
     below: FloatArray
     redirect: NDArray[np.int64]
     kind: NDArray[np.int64]
@@ -131,6 +135,7 @@ def tables(stack: OpticalStack, estimator: Estimator) -> Tables:
     layers, width = len(stack.layers), len(stack.wavelength_nm)
     mfp = np.full((layers, count if estimator == "analog" else 1, width), math.inf)
     survive = np.zeros((layers, count, width))
+    loss = np.zeros_like(mfp)
     below = np.zeros((layers, count))
     redirect = np.zeros((layers, count), dtype=np.int64)
     kind = np.full((layers, count, width), -1, dtype=np.int64)
@@ -141,6 +146,8 @@ def tables(stack: OpticalStack, estimator: Estimator) -> Tables:
         for e, rate in enumerate(rates):
             with np.errstate(divide="ignore"):
                 mfp[k, e] = 1.0 / rate
+        for e, share in enumerate(_losses(stack.layers[k], estimator)):
+            loss[k, e] = share
         for c, way in enumerate(ways):
             survive[k, c], below[k, c] = way.survive, way.below
             scatters = way.survive > 0
@@ -162,7 +169,18 @@ def tables(stack: OpticalStack, estimator: Estimator) -> Tables:
         bool((np.diff(index, axis=0) != 0).any()),
     )
     thickness = np.array([x.thickness_mm for x in stack.layers])
-    return Tables(shape, thickness, index, mfp, survive, below, redirect, kind, g, offset, store.table(), *store.layout)
+    return Tables(
+        shape, thickness, index, mfp, survive, loss, below, redirect, kind, g, offset, store.table(), *store.layout
+    )
+
+
+def _losses(layer: PlaneLayer, estimator: Estimator) -> list[FloatArray]:
+    """Chance that a meeting absorbs, without the short free paths: by element, or of all together."""
+    if estimator == "analog":
+        return [1.0 - i.albedo for i in layer.interactions if i.rate.any()]
+    total = sum((i.rate for i in layer.interactions), np.zeros_like(layer.n))
+    absorption = sum((i.rate * (1.0 - i.albedo) for i in layer.interactions), np.zeros_like(layer.n))
+    return [np.divide(absorption, total, out=np.zeros_like(total), where=total > 0)]
 
 
 def _elements(layer: PlaneLayer) -> tuple[list[FloatArray], list[_Way]]:
