@@ -163,18 +163,6 @@ class Tabulated(PhaseFunction):
         w = (0.5 * (w0 + w1))[:, None] + half[:, None] * node
         p = self.values[cell][:, None] + self._slope(cell)[:, None] * (w - self.complement[cell][:, None])
         mass = (2.0 * math.pi * half[:, None] * weight * p).ravel()
-        return _moments(w.ravel(), mass, order)
+        from livlab.model.tissue.phase_moments import moments
 
-
-def _moments(w: FloatArray, mass: FloatArray, order: int) -> FloatArray:
-    """Σ mass · P_l(1 − w): the recurrence on P_{l+1} − P_l sees w itself, so a narrow peak keeps its digits."""
-    chi = np.empty(order + 1)
-    p = np.ones_like(w)
-    step = -w
-    chi[0] = 1.0
-    total = float(mass.sum())
-    for n in range(1, order + 1):
-        p = p + step
-        chi[n] = float(mass @ p) / total
-        step = (n * step - (2 * n + 1) * w * p) / (n + 1)
-    return chi
+        return np.asarray(moments(w.ravel(), mass, order))
