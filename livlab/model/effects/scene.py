@@ -41,7 +41,7 @@ class Group:
 
 
 def groups(layers: Sequence[PlaneLayer]) -> tuple[Group, ...]:
-    """Layers with their sublayers gathered.
+    """Layers with their sublayers, numbered from 1, gathered.
 
     >>> import numpy as np
     >>> one = np.ones(1)
@@ -49,13 +49,15 @@ def groups(layers: Sequence[PlaneLayer]) -> tuple[Group, ...]:
     ['skin', 'fat']
     """
     made: list[Group] = []
+    before = ""
     for x in layers:
         found = re.fullmatch(r"(.+) (\d+)", x.name)
         stem, number = (found[1], int(found[2])) if found else (x.name, 0)
         if number > 1 and made and made[-1].name == stem and len(made[-1].members) == number - 1:
             made[-1] = Group(stem, (*made[-1].members, x.name))
         else:
-            made.append(Group(stem if number == 1 else x.name, (x.name,)))
+            made.append(Group(stem if number == 1 and stem != before else x.name, (x.name,)))
+        before = stem
     # A single "NAME 1" without a "NAME 2" is no sublayer.
     return tuple(Group(g.members[0], g.members) if len(g.members) == 1 else g for g in made)
 
