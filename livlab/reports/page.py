@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections import Counter
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +13,6 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from livlab.errors import EnvironmentProblem
 from livlab.reports import figures
 from livlab.reports.folder import RunData, read_run
 from livlab.reports.tables import (
@@ -30,6 +27,7 @@ from livlab.reports.tables import (
     number,
     records,
 )
+from livlab.runs_files import told_plainly, write_whole
 
 ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
@@ -71,16 +69,11 @@ def build_report(run_folder: Path) -> Path:
         sections=sections,
         folder=run.path.name,
     )
-    try:
+    with told_plainly(run.path):
         (run.path / "figures").mkdir(exist_ok=True)
-        for name, svg in pictures.plain.items():
-            _write(run.path / "figures" / f"{name}.svg", '<?xml version="1.0" encoding="utf-8"?>\n' + svg)
-        _write(run.path / "report.html", text)
-    except OSError as error:
-        raise EnvironmentProblem(
-            f"the report cannot be written to {run.path}: {error.strerror}.",
-            remedy="Free some space or make the folder writable, then `livlab report` it again.",
-        ) from error
+    for name, svg in pictures.plain.items():
+        write_whole(run.path / "figures" / f"{name}.svg", '<?xml version="1.0" encoding="utf-8"?>\n' + svg)
+    write_whole(run.path / "report.html", text)
     return run.path / "report.html"
 
 
@@ -266,7 +259,7 @@ def _readings(run: RunData) -> Section:
         words = ["text", "trouble"]
         names = [c for c in table.columns if c not in {"row", "option", "choices", "differs", *words}]
         if "row" in table:
-            table = table.assign(row=[number(r) if pd.notna(r) else None for r in table["row"]])
+            table = table.assign(row=[number(r) if pd.notna(r) else "–" for r in table["row"]])
         section.content.append(
             from_frame(
                 table,
@@ -333,16 +326,3 @@ def _again(run: RunData) -> Section:
         section.content.append(from_frame(versions, "Package versions.", folded="Package versions"))
     section.content.append(Code(run.config_text, folded="The experiment in full, every default written out"))
     return section
-
-
-def _write(target: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}-")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as out:
-            out.write(text)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
