@@ -36,6 +36,19 @@ from livlab.model.transport.ladder import Estimate, pick, solve
 from livlab.model.transport.sampling import BUDGET, Sampling, Walks
 from livlab.units import FloatArray
 
+__all__ = [
+    "BUDGET",
+    "Accuracy",
+    "Estimate",
+    "OnRound",
+    "Progress",
+    "Sampling",
+    "Variant",
+    "estimate",
+    "measure",
+    "sampling_of",
+]
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -28,7 +28,7 @@ from livlab.model.transport.ladder_approximate import (
     kubelka_munk_value,
 )
 from livlab.model.transport.ladder_domain import RUNGS, Domain, Rung, domain
-from livlab.model.transport.ladder_pick import Picked, pick, rule_of
+from livlab.model.transport.ladder_pick import Picked, pick, rule_of, tolerance_of
 from livlab.model.transport.sampling import Clock, Sampling, Walks
 from livlab.units import FloatArray
 
@@ -174,6 +174,8 @@ def solve(
     where = domain(picked.solver, stack, view)
     if not where.possible or (outside == "refuse" and not where.valid.any()):
         raise where.refusal()
+    if picked.solver == "adding-doubling" and picked.tolerance is None:
+        picked = replace(picked, tolerance=tolerance_of(stack, view, accuracy))
     if where.reasons:
         notes += [f"{picked.solver}: {reason}" for reason in where.reasons]
     value, random, systematic, samples = _run(stack, view, picked)

@@ -7,6 +7,8 @@ import time
 from dataclasses import dataclass, replace
 from typing import cast
 
+import numpy as np
+
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.accuracy import Accuracy
@@ -140,20 +142,35 @@ def _crude(stack: OpticalStack, view: Readout, accuracy: Accuracy) -> Picked | N
     return None
 
 
+def tolerance_of(stack: OpticalStack, view: Readout, accuracy: Accuracy) -> float:
+    """Tolerance that a wish asks of adding–doubling; a relative one is gauged at the middle wavelength.
+
+    The curve's maximum is at least what one wavelength reads, so that its share is a wish at least as fine.
+    """
+    from livlab.model.transport.adding_doubling import adding_doubling
+
+    wanted = 1e-6
+    if accuracy.seconds is None:
+        value = np.zeros(1)
+        if accuracy.relative is not None:
+            mu0 = math.cos(view.source.angle_rad)
+            value = view.of_endless(adding_doubling(_middle(stack), mu0=mu0, tolerance=1e-3))
+        wanted = SPARE * (accuracy.target(value) or 0.0) / max(1.0, float(view.weights.max()))
+    return min(max(wanted, TOLERANCES[0]), TOLERANCES[1])
+
+
 def _gauge(stack: OpticalStack, view: Readout, accuracy: Accuracy, clock: Clock) -> tuple[float, float]:
     """Tolerance that the wish asks of adding–doubling, and the seconds that all wavelengths take with it."""
     from livlab.model.transport.adding_doubling import adding_doubling
 
-    middle = stack.at([len(stack.wavelength_nm) // 2])
-    mu0 = math.cos(view.source.angle_rad)
     started = clock()
-    # The curve's maximum is at least what one wavelength reads, so that its share is a wish at least as fine.
-    value = view.of_endless(adding_doubling(middle, mu0=mu0, tolerance=1e-3))
-    target = accuracy.target(value)
-    wanted = 1e-6 if target is None else SPARE * target / max(1.0, float(view.weights.max()))
-    tolerance = min(max(wanted, TOLERANCES[0]), TOLERANCES[1])
-    adding_doubling(middle, mu0=mu0, tolerance=tolerance)
+    tolerance = tolerance_of(stack, view, accuracy)
+    adding_doubling(_middle(stack), mu0=math.cos(view.source.angle_rad), tolerance=tolerance)
     return tolerance, (clock() - started) * len(stack.wavelength_nm)
+
+
+def _middle(stack: OpticalStack) -> OpticalStack:
+    return stack.at([len(stack.wavelength_nm) // 2])
 
 
 def _s(seconds: float) -> str:
