@@ -125,7 +125,7 @@ def widened_phase(phase: Phase, angle_deg: float) -> tuple[Phase, float]:
         points = phase.complement[phase.complement > edge * (1.0 + 1e-12)]
         tail = np.concatenate([[edge], points])
     else:
-        tail = np.linspace(math.sqrt(edge), math.sqrt(2.0), _TAIL_POINTS) ** 2
+        tail = np.geomspace(edge, 2.0, _TAIL_POINTS)
         tail[0], tail[-1] = edge, 2.0
     values = np.asarray(phase.pdf(1.0 - tail), dtype=np.float64)
     step = np.diff(tail)
