@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from livlab import __version__
-from livlab.cli import data, doctor, fractions, plan, run
+from livlab.cli import cost, data, doctor, fractions, plan, run
 from livlab.errors import LivlabError
 
 _REFUSED_BY_SYSTEM = {
@@ -33,6 +33,7 @@ app.add_typer(data.app, name="data")
 doctor.register(app)
 run.register(app)
 plan.register(app)
+cost.register(app)
 fractions.register(app)
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from livlab.reports import figures
+from livlab.reports import cost, figures
 from livlab.reports.folder import RunData, read_run
 from livlab.reports.tables import (
     Claims,
@@ -26,6 +26,7 @@ from livlab.reports.tables import (
     merge_readings,
     number,
     records,
+    with_error,
 )
 from livlab.runs_files import told_plainly, write_whole
 
@@ -143,7 +144,7 @@ def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
         _tissue(run),
         _readings(run),
         _provenance(run),
-        _cost(run),
+        _cost(run, pictures),
         _again(run),
     ]
 
@@ -173,6 +174,9 @@ def _curves(run: RunData, pictures: _Pictures) -> Section:
     )
     spectra = run.table("spectra")
     if len(spectra):
+        if {"reflectance", "standard_error"} <= set(spectra.columns):
+            pairs = zip(spectra["reflectance"], spectra["standard_error"], strict=True)
+            spectra = spectra.assign(reflectance=[with_error(v, e) for v, e in pairs]).drop(columns="standard_error")
         section.content.append(
             from_frame(
                 spectra,
@@ -280,30 +284,54 @@ def _provenance(run: RunData) -> Section:
     return section
 
 
-def _cost(run: RunData) -> Section:
+def _cost(run: RunData, pictures: _Pictures) -> Section:
     section = Section("cost", "What it cost")
     costs = run.table("costs")
     if not len(costs):
         return section
-    section.content.append(from_frame(costs, "Wall-clock time of each stage on the machine named below."))
+    stages = costs[[c for c in costs.columns if c not in ("solver", "error", "relative_error")]]
+    if "error" in costs and costs["error"].notna().any():
+        section.content.append(from_frame(cost.run_rows(costs), "What each reading's accuracy cost."))
+        convergence = run.table("convergence")
+        if len(convergence):
+            section.content.append(
+                pictures.add(
+                    "cost",
+                    cost.run_figure(costs, convergence),
+                    "How the error fell while each reading was sampled; dashed, with slope −1/2, on to its next digit.",
+                )
+            )
     simulated = costs[costs["samples"].fillna(0) > 0] if "samples" in costs else pd.DataFrame()
     if len(simulated):
         seconds = float(simulated["seconds"].sum())
         section.content.append(
             Text(
                 f"Sampling took {number(seconds, 3)} s. A Monte Carlo error falls with the square root of the samples: "
-                f"the next digit costs 100×, {_duration(100 * seconds)} here."
+                f"the next digit costs 100×, {cost.duration(100 * seconds)} here."
             )
         )
+    section.content.append(from_frame(stages, "Wall-clock time of each stage on the machine named below."))
+    _every_solver(run, pictures, section)
     return section
 
 
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"
+def _every_solver(run: RunData, pictures: _Pictures, section: Section) -> None:
+    """What `livlab cost` found on this run's scene, if it was asked."""
+    table = run.table("cost")
+    if not len(table):
+        return
+    reading = str(table["reading"].iloc[0])
+    section.content.append(
+        pictures.add(
+            "cost-of-every-solver",
+            cost.cost_figure(table),
+            f"Every solver on the scene of the {reading} reading: error against time. Hollow: as the solver states it, "
+            "since the reference is no better. Dotted: off by a bias that no time mends.",
+        )
+    )
+    section.content.append(Text(cost.sentence(table)))
+    shown = ["solver", "samples", "seconds", "error", "stated", "valid", "notes"]
+    section.content.append(from_frame(table, "Every solver tried.", only=shown, folded="The numbers"))
 
 
 def _again(run: RunData) -> Section:
