@@ -24,8 +24,8 @@ RUNGS: tuple[Rung, ...] = get_args(Rung)
 DIFFUSION_NEAREST = 4.0
 """Transport paths 1/(µ_a + µ_s') from the beam within which light that leaves is not yet diffuse."""
 
-DIFFUSION_STEEPEST = math.radians(45.0)
-"""Angle of incidence up to which the dipole's source depth serves: at 70° its total is 10 % off."""
+DIFFUSION_STEEPEST = math.radians(20.0)
+"""Angle of incidence up to which the dipole's source depth serves: at 40° its total is 6 % off, at 70° 10 %."""
 
 
 @dataclass(frozen=True)

@@ -200,11 +200,13 @@ class Walks:
             return None
         active = np.flatnonzero(error >= 0.7 * error.max())
         time_share = left if active.size == len(error) else 0.5 * left
-        room = min(self.speed() * time_share, float(s.largest_launch)) / active.size
+        room = self.speed() * time_share / active.size
         have = int(self.samples[active].min())
-        count = int(min(room, GROWTH * have, s.max_samples - have))
-        # What cannot shrink an error by a percent is not worth its launch.
-        return (active, count) if count >= max(1, 0.02 * have) else None
+        # What cannot shrink an error by half a percent is not worth its launch.
+        if room < max(1.0, 0.01 * have):
+            return None
+        count = min(room, float(GROWTH * have), float(s.max_samples - have), s.largest_launch / active.size)
+        return active, max(1, int(count))
 
     def launch(self, active: NDArray[np.intp], samples: int) -> None:
         """Walk `samples` photons at each of some wavelengths, and add them up."""
