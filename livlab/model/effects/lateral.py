@@ -161,7 +161,7 @@ def _one_layer(m: _Medium, sine: float) -> list[tuple[float, float]]:
     transport = m.absorption + m.scattering * (1.0 - float(m.moments[1]) if m.scattering > 0 else 1.0)
     fastest = min(1.2 * math.sqrt(3.0 * m.absorption * transport), m.absorption + transport, 0.999 * extinction)
     found = []
-    for s in _RATES * fastest:
+    for s in _RATES * fastest if fastest > 0.0 else ():
         psi = np.linalg.solve(np.diag(extinction - s * x) - scattering * kernel, np.ones_like(x))
         if not (np.isfinite(psi).all() and (psi > 0).all()):
             break

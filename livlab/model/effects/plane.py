@@ -21,6 +21,9 @@ NODES = (12, 18)
 ORDER = 256
 """Legendre moments kept; a sharper peak counts as unscattered, which moves readings by 1e-7 of themselves (delta-M)."""
 
+NEGLECTED = 1e-6
+"""Share of a reading that moments left out of the phase functions, here and below 1e-6, may move."""
+
 _TOLERANCE = 1e-5
 
 
@@ -44,7 +47,8 @@ class PlaneValue:
         """(W,) how far the readings lie apart, and how uncertain the solver leaves that."""
         fine = self.fine - other.fine
         # Errors that both share cancel here; four times what the order of convergence leaves of the rest.
-        return np.asarray(np.abs(fine) + np.abs(fine - (self.coarse - other.coarse)))
+        open_ = np.abs(fine - (self.coarse - other.coarse)) + NEGLECTED * np.maximum(self.fine, other.fine)
+        return np.asarray(np.abs(fine) + open_)
 
 
 def plane_value(stack: OpticalStack, instrument: Instrument) -> PlaneValue:
