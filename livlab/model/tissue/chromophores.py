@@ -44,7 +44,8 @@ def packaging(radius_mm: float, sigma_per_mm: FloatArray) -> FloatArray:
     """
     _non_negative("vessel radius", radius_mm)
     _non_negative("absorption in the vessel", sigma_per_mm)
-    depth = np.asarray(2.0 * radius_mm * np.asarray(sigma_per_mm, dtype=float))
+    sigma = np.asarray(sigma_per_mm, dtype=float)
+    depth = np.where(sigma > 0, 2.0 * radius_mm * np.where(sigma > 0, sigma, 1.0), 0.0)  # 0, however large the vessel
     safe = np.where(depth > 0, depth, 1.0)
     return np.where(depth > 0, -np.expm1(-safe) / safe, 1.0)
 
