@@ -119,9 +119,9 @@ endless = st.one_of(
     ),
 )
 with_sides = st.one_of(
-    st.builds(Collinear, sample_side_mm=st.sampled_from([10.0, 40.0, 200.0]), beam=st.just("pencil")),
-    st.builds(Collinear, sample_side_mm=st.sampled_from([10.0, 100.0]), beam=st.just("face")),
-    st.builds(IntegratingSphere, port_diameter_mm=st.sampled_from([10.0, 40.0]), beam_diameter_mm=st.just(3.0)),
+    st.builds(Collinear, sample_side_mm=st.sampled_from([10.0, 60.0, 300.0]), beam=st.just("pencil")),
+    st.builds(Collinear, sample_side_mm=st.sampled_from([10.0, 1000.0]), beam=st.just("face")),
+    st.builds(IntegratingSphere, port_diameter_mm=st.sampled_from([10.0, 60.0]), beam_diameter_mm=st.just(3.0)),
 )
 
 
@@ -186,7 +186,7 @@ def over_scenes(count, check, *strategies):
 
 
 def test_planned_endless_scenes_stay_within_the_tolerance():
-    assert len(over_scenes(8, moved_by_plan, tissues(), bands, endless, tolerances)) >= 3
+    assert len(over_scenes(6, moved_by_plan, tissues(), bands, endless, tolerances)) >= 2
 
 
 @pytest.mark.slow
