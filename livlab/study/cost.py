@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -169,8 +169,9 @@ def cost(
         reference = _longest(stack, instrument, 0.5 * budget_seconds, seed, variant)
         tried.append(reference)
     left = max(budget_seconds - (clock() - started), 0.2 * budget_seconds)
+    tried += _ledgers(stack, instrument, 0.3 * left, seed + 500, variant, say, clock)
     for k, estimator in enumerate(get_args(Estimator)):
-        tried += _walks(stack, instrument, estimator, 0.5 * left, seed + 1000 * (k + 1), variant, say, clock)
+        tried += _walks(stack, instrument, estimator, 0.35 * left, seed + 1000 * (k + 1), variant, say, clock)
     return _rows(tried, reference)
 
 
@@ -195,9 +196,16 @@ def slope(rows: list[CostRow], solver: str) -> tuple[float, float]:
     return float(np.sum(weight * (x - middle) * y)) / spread, 1.0 / math.sqrt(2.0 * spread)
 
 
-def _answered(stack: OpticalStack, instrument: Instrument, rung: str, accuracy: Accuracy | None) -> Estimate | None:
+def _answered(
+    stack: OpticalStack,
+    instrument: Instrument,
+    rung: str,
+    accuracy: Accuracy | None,
+    sampling: Sampling | None = None,
+    variant: Variant = "llvm",
+) -> Estimate | None:
     try:
-        return estimate(stack, instrument, accuracy, rung, outside="warn")
+        return estimate(stack, instrument, accuracy, rung, outside="warn", sampling=sampling, variant=variant)
     except InputError:
         return None
 
@@ -226,6 +234,37 @@ def _longest(stack: OpticalStack, instrument: Instrument, seconds: float, seed: 
     )
     error = found.standard_error.to_numpy()
     return _Tried(found.solver, found.samples, found.seconds, 0.0, found.value.to_numpy()[None], error, True)
+
+
+def _ledgers(
+    stack: OpticalStack,
+    instrument: Instrument,
+    seconds: float,
+    seed: int,
+    variant: Variant,
+    say: Say,
+    clock: Callable[[], float],
+) -> list[_Tried]:
+    """Ledgers of half the error each, from their pilot's on, until the time is spent; none where there can be none."""
+    started, wish, out = clock(), 1e3, list[_Tried]()
+    while True:
+        say(f"ledger: {len(out) + 1}")
+        found = _answered(
+            stack, instrument, "ledger", Accuracy(standard_error=wish), Sampling(relative=0.1, seed=seed), variant
+        )
+        if found is None or not found.samples:
+            return out
+        if wish == 1e3:
+            # The first, with no wish to speak of, also loads the compiler: again, for the time.
+            found = _answered(
+                stack, instrument, "ledger", Accuracy(standard_error=wish), Sampling(relative=0.1, seed=seed), variant
+            )
+            assert found is not None
+        valid = bool(found.valid.all())
+        out.append(replace(_of(found), stated=found.error.to_numpy(), valid=valid))
+        if not valid or clock() - started + 5 * found.seconds > seconds:
+            return out
+        wish, seed = 0.5 * float(found.error.max()), seed + 10
 
 
 def _walks(

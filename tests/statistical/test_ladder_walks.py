@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments import FibreProbe, IntegratingSphere, WalkSolver
+from livlab.acquire.instruments import Collinear, FibreProbe, HyperspectralCamera, IntegratingSphere, WalkSolver
 from livlab.acquire.readout import readout
 from livlab.acquire.spectrometer import estimate, measure
 from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 from livlab.model.transport.accuracy import Accuracy
-from livlab.model.transport.ladder import solve
+from livlab.model.transport.ladder import pick, solve
 from livlab.model.transport.sampling import Sampling
 from livlab.study.cost import FAR, cost, slope
 
@@ -79,10 +79,65 @@ def test_expected_values_say_more_a_sample_than_the_literal_walk():
     np.testing.assert_allclose(literal, np.sqrt(p * (1 - p) / 40_000), rtol=0.03)
 
 
+def many(count=24):
+    """More wavelengths, unequal layers, absorption over two decades."""
+    x, one, phase = np.linspace(0, 1, count), np.ones(count), (HenyeyGreenstein(0.8),) * count
+    layers = []
+    for name, thick, n, low, scattering in (("top", 0.1, 1.36, 0.02, 12.0), ("bulk", math.inf, 1.4, 0.05, 20.0)):
+        absorption = low * 40 ** (0.5 + 0.5 * np.cos(5 * x))
+        parts = (Interaction("a", absorption, 0 * one, phase), Interaction("s", scattering - 4 * x, one, phase))
+        layers.append(PlaneLayer(name, thick, n * one, parts))
+    return OpticalStack(500 + 220 * x, tuple(layers), one, one)
+
+
+@pytest.mark.parametrize("view", [SPHERE, HyperspectralCamera(illumination_deg=0.0, acceptance_deg=40.0)])
+def test_the_ledger_meets_a_wish_for_many_wavelengths(view):
+    """One record answers 24 wavelengths: errors that go together, so a bound on each, 3.5, and none on their sum."""
+    exact = estimate(many(), view, Accuracy(standard_error=1e-6), "adding-doubling").value.to_numpy()
+    wish = Accuracy(relative=0.01)
+    found = estimate(many(), view, wish, "ledger", sampling=Sampling(relative=0.1, seed=4))
+    assert found.solver == "ledger"
+    assert found.valid.all()
+    error = found.error.to_numpy()
+    assert (error <= 0.01 * found.value.to_numpy().max() * 1.05).all()
+    assert (np.abs(found.value.to_numpy() - exact) < 3.5 * error).all()
+    # Power: an offset of 5 % of the maximum would be seen at every wavelength.
+    assert (0.05 * exact.max() > 4.5 * error).all()
+
+
+def test_a_ledger_of_a_sample_with_sides_reads_what_walks_do():
+    """5 mm wide, where 4 to 20 % of what an endless one shows is lost: 8 wavelengths, each within 3.5 errors."""
+    view = Collinear(sample_side_mm=5.0, acceptance_deg=60.0)
+    wish = Accuracy(relative=0.01)
+    kept, walked = (
+        estimate(scene(), view, wish, solver, sampling=Sampling(relative=0.1, seed=6))
+        for solver in ("ledger", "walk expected")
+    )
+    assert (np.abs(kept.value - walked.value) < 3.5 * np.hypot(kept.error, walked.error)).all()
+    endless = estimate(scene(), view, wish, "adding-doubling", outside="warn")
+    # Power: the light lost at the brightest wavelength is far above the error.
+    assert float(endless.value[-1] - kept.value[-1]) > 8 * float(kept.error[-1])
+
+
+def test_the_ledger_is_taken_for_many_wavelengths_where_it_is_sooner_done(monkeypatch):
+    """Adding–doubling out of the way, 24 wavelengths to 0.03 %: a walk each, or one record for all."""
+    monkeypatch.setattr("livlab.model.transport.ladder_pick.WORTH_NO_WALK", 0.0)
+    view = readout(SPHERE, np.ones(24))
+    picked = pick(many(), view, Accuracy(relative=0.0003), sampling=Sampling(relative=0.1, seed=2))
+    assert {x for x in ("adding-doubling", "walk expected", "ledger") if x in picked.notes[0]} == {
+        "adding-doubling",
+        "walk expected",
+        "ledger",
+    }
+    assert picked.solver in ("adding-doubling", "ledger")
+    few = pick(scene().at([0, 4]), view, Accuracy(relative=0.003), account=True)
+    assert few.solver != "ledger"
+
+
 def test_the_cost_of_every_solver_on_one_scene():
     rows = cost(scene(), SPHERE, budget_seconds=4.0, seed=7)
     by = {r.solver: [x for x in rows if x.solver == r.solver] for r in rows}
-    assert set(by) >= {"kubelka-munk", "adding-doubling", "walk expected", "walk analog"}
+    assert set(by) >= {"kubelka-munk", "adding-doubling", "ledger", "walk expected", "walk analog"}
     assert {r.reference for r in rows} == {"adding-doubling"}
     exact = by["adding-doubling"][-1]
     assert exact.reference_error < 1e-6

@@ -138,6 +138,7 @@ def test_a_budget_is_positive_and_what_cannot_answer_is_left_out(monkeypatch):
     with pytest.raises(InputError, match="budget"):
         cost(slab, IntegratingSphere(), budget_seconds=0.0)
     monkeypatch.setattr(study, "_walks", lambda *_: [])
+    monkeypatch.setattr(study, "_ledgers", lambda *_: [])
     monkeypatch.setattr(study, "_longest", lambda *_: tried("walk expected", 1.0, 0.0, 1e-3, 1000))
     rows = cost(slab, FibreProbe(distance_mm=2.0), budget_seconds=1.0)
     assert [r.solver for r in rows] == ["walk expected"]

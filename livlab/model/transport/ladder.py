@@ -1,7 +1,7 @@
 """The ladder of solvers: one question, one form of answer, and the cheapest rung that can meet a wish.
 
-From the crudest to the most general: two fluxes, diffusion's dipole, adding–doubling, random walk. Each states where
-it holds (`ladder_domain`); outside it is refused, or answers with a warning.
+From the crudest to the most general: two fluxes, diffusion's dipole, adding–doubling, the ledger, random walk. Each
+states where it holds (`ladder_domain`); outside it is refused, or answers with a warning.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from livlab.model.transport.ladder_approximate import (
     diffusion_value,
     kubelka_munk_value,
 )
-from livlab.model.transport.ladder_domain import RUNGS, Domain, Rung, domain
+from livlab.model.transport.ladder_domain import RUNGS, Domain, Rung, domain, listed
+from livlab.model.transport.ladder_ledger import until_met
 from livlab.model.transport.ladder_pick import Picked, pick, rule_of, tolerance_of
 from livlab.model.transport.sampling import Clock, Sampling, Walks
 from livlab.units import FloatArray
@@ -178,13 +179,22 @@ def solve(
         picked = replace(picked, tolerance=tolerance_of(stack, view, accuracy))
     if where.reasons:
         notes += [f"{picked.solver}: {reason}" for reason in where.reasons]
-    value, random, systematic, samples = _run(stack, view, picked)
-    systematic = np.where(where.valid, systematic, np.nan)
+    valid = where.valid
+    if picked.solver == "ledger":
+        seed = sampling.seed if sampling is not None else 1
+        kept = until_met(stack, view, accuracy, picked.recorded, seed, variant=variant, clock=clock, started=started)
+        value, random, systematic, samples = kept.value, kept.standard_error, kept.systematic, kept.samples
+        if not kept.valid.all():
+            at = listed(stack.wavelength_nm[~kept.valid])
+            notes.append(f"ledger: reweighting leaves too few samples at {at} nm; use 'walk expected'")
+        valid = valid & kept.valid
+    else:
+        value, random, systematic, samples = _run(stack, view, picked)
+    systematic = np.where(valid, systematic, np.nan)
     target = accuracy.target(value)
     short = np.zeros(len(value), dtype=bool) if target is None else np.hypot(random, systematic) > target * (1 + 1e-9)
     if short.any():
-        at = ", ".join(f"{x:g}" for x in stack.wavelength_nm[short][:6]) + (" …" if short.sum() > 6 else "")
-        notes.append(f"the wish ({accuracy.text}) was not met at {at} nm")
+        notes.append(f"the wish ({accuracy.text}) was not met at {listed(stack.wavelength_nm[short])} nm")
 
     def column(values: FloatArray | NDArray[np.bool_], **about: str) -> xr.DataArray:
         x = {"wavelength": ("wavelength", stack.wavelength_nm, {"units": "nm"})}
@@ -196,7 +206,7 @@ def solve(
         column(systematic, units="1"),
         clock() - started,
         samples,
-        column(where.valid),
+        column(valid),
         picked.solver,
         tuple(dict.fromkeys([*stack.notes, *notes])),
     )

@@ -17,7 +17,7 @@ from livlab.model.transport.geometry import Readout
 from livlab.model.transport.moments import reduced_coefficients
 from livlab.units import FloatArray
 
-Rung = Literal["kubelka-munk", "diffusion", "adding-doubling", "walk analog", "walk expected"]
+Rung = Literal["kubelka-munk", "diffusion", "adding-doubling", "ledger", "walk analog", "walk expected"]
 RUNGS: tuple[Rung, ...] = get_args(Rung)
 """From the crudest to the most general."""
 
@@ -77,7 +77,7 @@ class _Judge:
         if not mask.any():
             return
         self._valid &= ~mask
-        at = "" if mask.all() else f" at {_listed(self._nm[mask])} nm"
+        at = "" if mask.all() else f" at {listed(self._nm[mask])} nm"
         self._reasons.append(reason + at)
 
     def verdict(self) -> Domain:
@@ -116,6 +116,8 @@ def domain(rung: str, stack: OpticalStack, view: Readout) -> Domain:
         return _diffusion(stack, view)
     if rung == "adding-doubling":
         return _adding_doubling(stack, view)
+    if rung == "ledger":
+        return _ledger(stack, view)
     if rung in ("walk analog", "walk expected"):
         return _Judge(cast(Rung, rung), stack, "nothing else").verdict()
     raise InputError.of("solver", rung, f"must be auto or one of {', '.join(RUNGS)}", "Name one of them.")
@@ -187,13 +189,32 @@ def _adding_doubling(stack: OpticalStack, view: Readout) -> Domain:
                 scatters & (i.absorb_below_mm > 0),
                 f"absorption of {i.name} on short free paths is taken in the mean",
             )
+    _turned(judge, stack)
+    return judge.verdict()
+
+
+def _ledger(stack: OpticalStack, view: Readout) -> Domain:
+    judge = _Judge("ledger", stack, "'walk expected'")
+    lateral = view.half_width_mm is not None or bool(view.tally.radius_edges)
+    if lateral and any(i.redirect == "cos" for x in stack.layers for i in x.interactions):
+        judge.never("a factor cos θ has mean zero, which leaves no weight to record")
+    if len(np.unique(stack.wavelength_nm)) != len(stack.wavelength_nm):
+        judge.never("a wavelength repeats")
+    if not lateral:
+        _turned(judge, stack)
+    return judge.verdict()
+
+
+def _turned(judge: _Judge, stack: OpticalStack) -> None:
+    """A redirect factor taken in its mean: right for an isotropic scatterer, whose next azimuth is any."""
+    for layer in stack.layers:
+        for i in layer.interactions:
             if i.redirect != "none":
-                turned = [not isinstance(p, Isotropic) for p in i.phases]
+                turned = np.array([not isinstance(p, Isotropic) for p in i.phases])
                 judge.outside(
-                    scatters & np.array(turned),
+                    np.asarray(i.rate * i.albedo > 0) & turned,
                     f"the azimuths that the redirect factor of {i.name} favours are lost",
                 )
-    return judge.verdict()
 
 
 def _laterally_blind(judge: _Judge, view: Readout) -> None:
@@ -220,7 +241,8 @@ def _too_dark(albedo: FloatArray, least: float) -> str:
     return f"a reduced albedo of {albedo.min():.3g} is not close enough to 1 ({least:g} at least)"
 
 
-def _listed(nm: FloatArray) -> str:
+def listed(nm: FloatArray) -> str:
+    """Wavelengths for a message."""
     if len(nm) > 6:
         return f"{len(nm)} wavelengths from {nm[0]:g} to {nm[-1]:g}"
     return ", ".join(f"{x:g}" for x in nm)

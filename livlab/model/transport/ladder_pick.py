@@ -21,6 +21,7 @@ from livlab.model.transport.ladder_approximate import (
     kubelka_munk_value,
 )
 from livlab.model.transport.ladder_domain import RUNGS, domain
+from livlab.model.transport.ladder_ledger import Recorded, pilot, seconds_for
 from livlab.model.transport.sampling import Clock, Sampling, Walks
 from livlab.model.transport.walk_tables import Estimator
 
@@ -32,6 +33,10 @@ SPARE = 0.2
 
 TOLERANCES = (1e-9, 1e-4)
 """Finest and coarsest tolerance that is asked of adding–doubling."""
+
+
+LEAST_WAVELENGTHS = 8
+"""Wavelengths from which on one recorded walk for all is worth a trial."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,8 @@ class Picked:
         For adding–doubling.
     walks
         For a walk: its state after the pilot, if there was one.
+    recorded
+        For the ledger: its pilot.
     notes
         Why this rung.
     """
@@ -57,6 +64,7 @@ class Picked:
     tolerance: float | None
     walks: Walks | None
     notes: tuple[str, ...]
+    recorded: Recorded | None = None
 
 
 def pick(
@@ -73,12 +81,14 @@ def pick(
 
     Two fluxes and diffusion answer where they hold and the wish is no finer than what they are off. Adding–doubling
     answers where it holds at every wavelength, unless a piloted walk would be done before it. Else the walk of
-    expected values does; the literal walk gives the same with more samples and is never chosen.
+    expected values does, or the ledger where that would be done sooner: one walk for all of many wavelengths. The
+    literal walk gives the same with more samples and is never chosen.
 
     Parameters
     ----------
     account
-        Whether the light's whole account is wanted beside the reading, which two fluxes and diffusion do not give.
+        Whether the light's whole account is wanted beside the reading, which two fluxes, diffusion and the ledger do
+        not give (it cannot tell in which layer light was absorbed).
 
     Other parameters as in `ladder.solve`.
     """
@@ -95,24 +105,30 @@ def pick(
         left = math.inf if accuracy.seconds is None else accuracy.seconds - (clock() - started)
         if seconds <= min(left, WORTH_NO_WALK) or (accuracy.seconds is not None and seconds <= left):
             return exact
-    why = "auto: walk expected" + (f"; adding-doubling: {'; '.join(where.reasons)}" if where.reasons else "")
+    why = f"; adding-doubling: {'; '.join(where.reasons)}" if where.reasons else ""
+    if exact is not None:
+        why = f"; adding-doubling would take about {_s(exact.seconds or 0.0)}"
     rule = rule_of(accuracy, "walk expected", sampling)
-    if rule.seconds is not None:
+    kept = None if account else _ledger(stack, view, rule.seed, variant, clock)
+    if accuracy.seconds is not None:
+        if kept is not None:
+            return Picked("ledger", None, None, None, (f"auto: ledger, one walk for all wavelengths{why}",), kept)
         # At least a sliver: a wish that the gauging used up is still answered, by one launch.
-        rule = replace(rule, seconds=max(rule.seconds - (clock() - started), 0.01 * rule.seconds))
+        left = max(accuracy.seconds - (clock() - started), 0.01 * accuracy.seconds)
+        rule = replace(rule, seconds=left)
     walks = Walks(stack, view, rule, variant=variant, clock=clock)
-    if exact is None or accuracy.seconds is not None:
-        if exact is not None:
-            why += f"; adding-doubling would take about {_s(exact.seconds or 0.0)}"
-        return Picked("walk expected", None, None, walks, (why,))
+    if accuracy.seconds is not None or (exact is None and kept is None):
+        return Picked("walk expected", None, None, walks, (f"auto: walk expected{why}",))
     first = walks.plan()
-    assert first is not None and exact.seconds is not None
+    assert first is not None
     walks.launch(*first)
-    left = walks.done()[1]
-    said = f"adding-doubling would take about {_s(exact.seconds)}, the walk {_s(left)}"
-    if exact.seconds <= left:
-        return Picked("adding-doubling", exact.seconds, exact.tolerance, None, (f"auto: adding-doubling; {said}",))
-    return Picked("walk expected", left, None, walks, (f"auto: walk expected; {said}",))
+    found = [Picked("walk expected", walks.done()[1], None, walks, ())]
+    found += [exact] if exact is not None else []
+    found += [Picked("ledger", seconds_for(kept, accuracy), None, None, (), kept)] if kept is not None else []
+    best = min(found, key=lambda p: p.seconds or 0.0)
+    said = ", ".join(f"{p.solver} would take about {_s(p.seconds or 0.0)} more" for p in found)
+    more = why if exact is None else ""
+    return replace(best, notes=(f"auto: {best.solver}; {said}{more}",))
 
 
 def rule_of(accuracy: Accuracy, rung: str, sampling: Sampling | None = None) -> Sampling:
@@ -122,6 +138,17 @@ def rule_of(accuracy: Accuracy, rung: str, sampling: Sampling | None = None) -> 
     base = sampling or Sampling(relative=0.01)
     estimator = cast(Estimator, rung.removeprefix("walk ")) if rung.startswith("walk ") else base.estimator
     return replace(base, samples=None, estimator=estimator, **accuracy.model_dump())
+
+
+def _ledger(stack: OpticalStack, view: Readout, seed: int, variant: str, clock: Clock) -> Recorded | None:
+    """The ledger's pilot, where there is one to be kept and it answers everywhere."""
+    if len(stack.wavelength_nm) < LEAST_WAVELENGTHS or not domain("ledger", stack, view).valid.all():
+        return None
+    try:
+        found = pilot(stack, view, seed, variant=variant, clock=clock)
+    except InputError:  # scattering that changes too much over the band
+        return None
+    return found if found.valid.all() else None
 
 
 def _crude(stack: OpticalStack, view: Readout, accuracy: Accuracy) -> Picked | None:
