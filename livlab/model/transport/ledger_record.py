@@ -109,7 +109,8 @@ class Recorder:
 
     def __post_init__(self) -> None:
         self._tables = tables(self.walked, "expected")
-        space = self.positions or (self._tables.shape.redirects != (0,) and self._tables.shape.steered)
+        steered = self._tables.shape.redirects != (0,) and self._tables.shape.steered
+        space = self.positions or self.half_width_mm is not None or steered
         self._settings = Settings(self.source, self.half_width_mm, self.capture_weight, self.max_steps, space)
         self._columns: Columns | None = None
         self._batch = 0
