@@ -36,6 +36,9 @@ CHEAP = 0.2
 ACCEPTED = 0.75
 """Log variance that reweighting may add in all before more anchors are taken."""
 
+LEAST_SHARE = 0.55
+"""Least absorption of an endless layer that an anchor can answer for, over its reference absorption."""
+
 _MAINLY = 0.35  # share of the largest |c| from which on an anchor mainly answers
 
 WORN = 2.0
@@ -151,6 +154,9 @@ def wear_of(
             change[:, -1] = 0.0
             absorbed[:, -1] *= own[-1] / s[:, -1]
         total = (change + np.maximum(anchors.absorption[k] - absorbed, 0.0)) * paths
+        if math.isinf(sets.thickness_mm[-1]) or scaled:
+            # Endless paths: from half the reference absorption down the variance has no bound, whatever a sample says.
+            total[:, -1] = np.where(absorbed[:, -1] < LEAST_SHARE * anchors.absorption[k, -1], math.inf, total[:, -1])
     return np.asarray(np.where(np.isnan(total), 0.0, total).sum(axis=1))
 
 
@@ -322,8 +328,8 @@ def snap(wavelength_nm: FloatArray, count: int) -> tuple[int, ...]:
 def _reference(anchors: Coefficients, sets: Coefficients, degree: int, scaled: bool, reserve: float) -> FloatArray:
     """(K, L) absorption to walk with, in each anchor's own lengths.
 
-    A little below the least of what an anchor mainly answers for; and below twice the least of all, where the
-    variance of weights e^((µ_ref − µ_a) ℓ) that can exceed one is still finite.
+    A little below the least of what an anchor mainly answers for; and low enough for all, as the variance of weights
+    e^((µ_ref − µ_a) ℓ) that can exceed one is finite below 2 µ_a only.
     """
     c = np.abs(blend(sets.wavelength_nm, anchors.wavelength_nm, degree))
     mainly = c >= _MAINLY * c.max(axis=1, keepdims=True)
@@ -333,7 +339,7 @@ def _reference(anchors: Coefficients, sets: Coefficients, degree: int, scaled: b
         if scaled:
             s = sets.scattering[:, -1] * (1.0 - sets.anisotropy[:, -1]) / (1.0 - anchors.anisotropy[k, -1])
             own[:, -1] *= anchors.scattering[k, -1] / s
-        least[k] = np.minimum(own[mainly[:, k]].min(axis=0), 2.0 * own.min(axis=0))
+        least[k] = np.minimum(own[mainly[:, k]].min(axis=0), own.min(axis=0) / LEAST_SHARE)
     least *= 1.0 - reserve
     if math.isinf(sets.thickness_mm[-1]):
         floor = LEAST_ABSORPTION * anchors.scattering[:, -1] * (1.0 - anchors.anisotropy[:, -1])
