@@ -150,7 +150,8 @@ def cost(
     # One wavelength first: phase functions from tables can make the whole a matter of minutes.
     say("adding-doubling: one wavelength")
     gauged = _answered(stack.at([len(stack.wavelength_nm) // 2]), instrument, "adding-doubling", COARSEST)
-    affordable = gauged is not None and gauged.seconds * len(stack.wavelength_nm) <= 0.3 * budget_seconds
+    share = 0.6 if gauged is not None and gauged.valid.all() else 0.2
+    affordable = gauged is not None and gauged.seconds * len(stack.wavelength_nm) <= share * budget_seconds
     for wish in WISHES if affordable else ():
         if reference is not None and _rms(reference.stated) <= wish:
             continue
@@ -161,8 +162,8 @@ def cost(
         tried.append(_of(found))
         if found.valid.all():
             reference = tried[-1]
-        # A hundredth of the error has taken up to five times as long.
-        if clock() - started + 5 * found.seconds > 0.4 * budget_seconds:
+        # A hundredth of the error takes some times as long, though phase functions are known by now.
+        if clock() - started + 2 * found.seconds > share * budget_seconds:
             break
     if reference is None:
         say("reference: walk expected")
