@@ -12,6 +12,7 @@ from livlab.config import Experiment, Label, Section
 from livlab.config_errors import nearest
 from livlab.errors import InputError
 from livlab.metrics import Normalisation, ReferenceErrors
+from livlab.model.effects.config import EffectsConfig
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading, ReadingName
 from livlab.model.transport.accuracy import Accuracy
@@ -143,6 +144,9 @@ class SpectralExperiment(Experiment):
     solver: Solver = Field(default_factory=WalkSolver, description="How light is followed, and how well.")
     accuracy: Accuracy | None = Field(
         None, description="What the result is to be worth; for solver.kind = 'auto', which it implies."
+    )
+    effects: EffectsConfig | None = Field(
+        None, description="Which effects are simulated: 'auto', or a table; every one if not said."
     )
     variant: Literal["llvm", "cuda"] = Field("llvm", description="Where a walk runs: processor or graphics card.")
     processing: Processing = Field(default_factory=Processing, description="What is done to the curves.")

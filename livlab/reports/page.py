@@ -14,7 +14,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from livlab.reports import cost, figures
+from livlab.reports.effects import simulated
 from livlab.reports.folder import RunData, read_run
+from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
     Claims,
     Code,
@@ -143,8 +145,10 @@ def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
         _budget(run, pictures),
         _tissue(run),
         _readings(run),
+        simulated(run.table("plan")),
         _provenance(run),
         _cost(run, pictures),
+        hard_cases(run.table("stress")),
         _again(run),
     ]
 

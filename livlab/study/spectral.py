@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.instruments import AutoSolver, WalkSolver
+from livlab.acquire.instruments import AutoSolver, Instrument, WalkSolver
 from livlab.acquire.spectrometer import Progress, measure
 from livlab.config_spectral import SpectralExperiment
 from livlab.criteria import Claim
@@ -22,6 +22,7 @@ from livlab.study import spectral_tables as tables
 from livlab.study.spectral_claims import Known, judge, load_reference, points, processed, shown
 
 if TYPE_CHECKING:
+    from livlab.model.effects.plan import Plan
     from livlab.runs_work import Run
 
 SAVE_EVERY_SECONDS = 5.0
@@ -58,7 +59,34 @@ def prepare(config: SpectralExperiment) -> Callable[[Run], None]:
         started = time.perf_counter()
         stacks[reading.name] = optical_stack(tissue, reading, grid)
         costs.append({"stage": "tissue", "reading": reading.name, "seconds": time.perf_counter() - started})
-    return lambda run: _work(run, config, tissue, stacks, references, costs)
+    plans = _plans(config, tissue, stacks, costs)
+    return lambda run: _work(run, config, tissue, stacks, plans, references, costs)
+
+
+def _plans(
+    config: SpectralExperiment, tissue: Tissue, stacks: dict[str, OpticalStack], costs: list[dict[str, object]]
+) -> dict[str, Plan]:
+    """What each reading's scene calls for; nothing where the experiment does not ask."""
+    if config.effects is None:
+        return {}
+    from livlab.model.effects.plan import plan
+
+    made = {}
+    for reading in config.all_readings:
+        started = time.perf_counter()
+        made[reading.name] = plan(
+            stacks[reading.name],
+            config.instrument,
+            config.effects.tolerance,
+            config.effects.forced,
+            tolerance_of=config.effects.tolerance_of,
+            mode=config.effects.mode,
+            tissue=tissue,
+            reading=reading,
+            literal=getattr(config.solver, "estimator", "expected") == "analog",
+        )
+        costs.append({"stage": "plan", "reading": reading.name, "seconds": time.perf_counter() - started})
+    return made
 
 
 def _work(
@@ -66,6 +94,7 @@ def _work(
     config: SpectralExperiment,
     tissue: Tissue,
     stacks: dict[str, OpticalStack],
+    plans: dict[str, Plan],
     references: list[Known],
     costs: list[dict[str, object]],
 ) -> None:
@@ -73,8 +102,16 @@ def _work(
         _name_device(run, config.variant)
     run.progress.begin(list(stacks))
     pieces: dict[str, xr.Dataset] = {}
-    for name, stack in stacks.items():
-        pieces[name] = piece = _measured(run, config, name, stack)
+    for name, full in stacks.items():
+        stack, instrument = full, config.instrument
+        if name in plans:
+            stack, instrument = plans[name].reduced.stack, plans[name].instrument
+            if plans[name].dropped:
+                run.note(
+                    f"{name}: left out {', '.join(plans[name].dropped)}; "
+                    f"the value moves by at most {plans[name].bound:.2g}."
+                )
+        pieces[name] = piece = _measured(run, config, name, stack, instrument)
         samples = int(piece.attrs["samples"])
         seconds, compiling = float(piece.attrs["seconds"]), float(piece.attrs["compile_seconds"])
         if compiling:
@@ -99,6 +136,11 @@ def _work(
     started = time.perf_counter()
     claims, metrics = judge(config, pieces, references)
     costs.append({"stage": "claims", "reading": None, "seconds": time.perf_counter() - started})
+    if plans:
+        from livlab.model.effects.plan import COLUMNS
+
+        rows = [{"reading": name, **row} for name, made in plans.items() for row in made.records()]
+        run.write_table("plan.csv", ("reading", *COLUMNS), rows)
     _write(run, config, tissue, stacks, pieces, references, claims, metrics, costs)
 
 
@@ -111,7 +153,9 @@ def _name_device(run: Run, variant: str) -> None:
         run.info["libllvm"] = choose_libllvm().name
 
 
-def _measured(run: Run, config: SpectralExperiment, name: str, stack: OpticalStack) -> xr.Dataset:
+def _measured(
+    run: Run, config: SpectralExperiment, name: str, stack: OpticalStack, instrument: Instrument
+) -> xr.Dataset:
     """One reading's measurement: as an earlier call left it, gone on from there, or from the start."""
     solver = config.solver
     if isinstance(solver, WalkSolver | AutoSolver):
@@ -135,7 +179,7 @@ def _measured(run: Run, config: SpectralExperiment, name: str, stack: OpticalSta
 
     done = measure(
         stack,
-        config.instrument,
+        instrument,
         solver,
         accuracy=config.accuracy,
         variant=config.variant,
