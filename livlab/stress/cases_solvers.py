@@ -24,15 +24,17 @@ def solvers(
 ) -> dict[str, Measured]:
     """One stack by all solvers.
 
-    For the walks `NAME z`: differences of R, T and each layer's absorption from adding–doubling over their standard
-    errors. For the approximations `NAME R`: ratio of reflectances less 1 (kubelka-munk: under diffuse light too),
-    and `NAME valid`: 1 where the solver calls itself valid, 0 where it says it is not or refuses.
+    For the walks and the ledger `NAME z`: differences of R, T and each layer's absorption (the ledger: R and T) from
+    adding–doubling over their standard errors. For the approximations `NAME R`: ratio of reflectances less 1
+    (kubelka-munk: under diffuse light too), and `NAME valid`: 1 where the solver calls itself valid, 0 where it says
+    it is not or refuses.
     """
     stack = made_stack(layers, n_above, n_below)
     exact = adding_doubling(stack, mu0=math.cos(angle))
     out: dict[str, Measured] = {}
     for estimator in ("expected", "analog"):
         out |= _walked(stack, exact, estimator, samples, angle)
+    out |= _recorded(stack, exact, samples, angle)
     out |= _approximate("diffusion", diffusion, stack, exact, angle)
     out |= _approximate("kubelka-munk", kubelka_munk, stack, exact, angle)
     return out
@@ -56,6 +58,53 @@ def _walked(stack: OpticalStack, exact: xr.Dataset, estimator: str, samples: int
         f"{estimator} walk": Measured(found, error),
         f"{estimator} walk z": Measured(_scores(found, want, error), np.zeros(1)),
         f"{estimator} walk error": Measured(np.array([worst])),
+    }
+
+
+def _recorded(stack: OpticalStack, exact: xr.Dataset, samples: int, angle: float) -> dict[str, Measured]:
+    from livlab.model.transport.ledger import record
+    from livlab.model.transport.source import Source
+
+    ledger = record(stack, samples=samples // 4, seed=5, source=Source.collimated(angle), check_bias=False)
+    r = ledger.spectrum(worn="mark")
+    names = ("reflectance", "transmittance")
+    found, error = (np.concatenate([r[f"{n}{end}"].to_numpy().ravel() for n in names]) for end in ("", "_se"))
+    want = np.concatenate([exact[n].to_numpy().ravel() for n in names])
+    return {
+        "ledger z": Measured(_scores(found, want, error)),
+        "ledger valid": Measured(r.valid.to_numpy().astype(np.float64)),
+    }
+
+
+@runner
+def ledger_absorptions(
+    absorption: list[float], scattering: float, g: float, n: float, samples: int
+) -> dict[str, Measured]:
+    """One recorded walk that answers for many absorptions of a half-space, against adding–doubling.
+
+    `z` and `error` where the ledger calls itself valid; `valid`: at how many of the absorptions it does.
+    """
+    from livlab.model.tissue.phase import HenyeyGreenstein
+    from livlab.model.tissue.stack import Interaction, PlaneLayer
+    from livlab.model.transport.ledger import record
+
+    one = np.ones(len(absorption))
+    phases = (HenyeyGreenstein(g),) * len(absorption)
+    parts = (
+        Interaction("absorber", np.array(absorption, dtype=np.float64), 0.0 * one, phases),
+        Interaction("scatterer", scattering * one, one, phases),
+    )
+    wavelength = np.linspace(500.0, 600.0, len(absorption))
+    stack = OpticalStack(wavelength, (PlaneLayer("bulk", math.inf, n * one, parts),), one, one)
+    r = record(stack, samples=samples, seed=1, check_bias=False).spectrum(worn="mark")
+    exact = adding_doubling(stack).reflectance.to_numpy()
+    value, error, valid = (r[k].to_numpy() for k in ("reflectance", "reflectance_se", "valid"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(valid, (value - exact) / error, 0.0)
+    return {
+        "z": Measured(z),
+        "error": Measured(np.where(valid, error, 0.0)),
+        "valid": Measured(np.array([float(np.count_nonzero(valid))])),
     }
 
 

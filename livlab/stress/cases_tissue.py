@@ -115,10 +115,17 @@ _ATTEMPTS: dict[str, Callable[..., Any]] = {
     "spheroid": spheroids.surface_term,
     "penalised": lambda s: spheroids.penalised_rate(np.array([s])),
     "stack": lambda *layers: stack(list(layers)),
+    "ledger": lambda *layers: _record(list(layers)),
     "adding_doubling": lambda mu0: adding_doubling(stack([[1.0, 1.0, 1.0, 1.0, 0.0]]), mu0=mu0),
     "pearson": lambda level, variation: metrics.pearson(*curve(level, variation, 0.1, 50)),
     "rmse": metrics.rmse,
 }
+
+
+def _record(layers: list[list[Any]]) -> Any:
+    from livlab.model.transport.ledger import record
+
+    return record(stack(layers), samples=2000, check_bias=False)
 
 
 def _refused(attempt: Callable[[], Any], field: str = "") -> bool:

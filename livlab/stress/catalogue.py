@@ -108,7 +108,7 @@ def cases() -> tuple[Case, ...]:
 
 
 def select(pattern: str | None = None, *, slow: bool = False) -> tuple[Case, ...]:
-    """The cases whose name holds or matches a pattern; slow ones if asked for, or if their whole name is given.
+    """The case of that name, or the cases whose name holds or matches a pattern, slow ones if asked for.
 
     Raises
     ------
@@ -121,10 +121,9 @@ def select(pattern: str | None = None, *, slow: bool = False) -> tuple[Case, ...
     {'fresnel'}
     """
     low = (pattern or "").lower()
-    found = tuple(
-        c
-        for c in cases()
-        if (low in c.name.lower() or fnmatch.fnmatch(c.name.lower(), low)) and (slow or not c.slow or low == c.name)
+    exact = tuple(c for c in cases() if c.name.lower() == low)
+    found = exact or tuple(
+        c for c in cases() if (low in c.name.lower() or fnmatch.fnmatch(c.name.lower(), low)) and (slow or not c.slow)
     )
     if not found:
         topics = ", ".join(dict.fromkeys(c.topic for c in cases()))
