@@ -43,7 +43,10 @@ def cost_figure(cost: pd.DataFrame) -> Figure:
         for name, rows in cost.groupby("solver", sort=False):
             _solver(ax, str(name), rows.sort_values("seconds"), end)
         front = cost[_true(cost["pareto"])].sort_values("seconds")
-        x, y = [*front["seconds"], end], [*front["shown"], front["shown"].iloc[-1]]
+        # Luck in sampling makes no front.
+        said = front["stated"].where(front["samples"] > 0, 0.0)
+        y = [float(e) for e in front["shown"].combine(said, max)]
+        x, y = [*front["seconds"], end], [*y, y[-1]]
         ax.step(x, y, where="post", color=MUTED, lw=6, alpha=0.22, zorder=1, label="Pareto front")
         if _walks(cost):
             t, e = _next(dict(_walks(cost))[_best_walk(cost)])

@@ -317,8 +317,11 @@ def _rows(tried: list[_Tried], reference: _Tried) -> list[CostRow]:
         t is not reference and (e if math.isnan(s) else max(e, s)) > FAR * own
         for t, e, s in zip(tried, measured, stated, strict=True)
     ]
-    # What cannot be measured is taken at its word, and nothing for better than the reference itself.
-    taken = [max(e, own) if ok else s for e, s, ok in zip(measured, stated, trusted, strict=True)]
+    # What cannot be measured is taken at its word, luck for none, and nothing for better than the reference.
+    taken = [
+        max(e, own, s if t.samples else 0.0) if ok else s
+        for t, e, s, ok in zip(tried, measured, stated, trusted, strict=True)
+    ]
     rows = []
     for k, t in enumerate(tried):
         beaten = any(
