@@ -264,7 +264,7 @@ def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], reference
         )
         made[name] = kept.drop_attrs(deep=False)
     root = _stacked(made)
-    root["reflectance"].attrs |= {"units": "1", "long_name": f"reading of the {config.instrument.kind}"}
+    root["reflectance"].attrs |= {"units": "1", "long_name": f"value seen by the instrument ({config.instrument.kind})"}
     root = root.transpose("reading", "layer", "wavelength", "wavelength_curve", missing_dims="ignore")
     grid = root["wavelength_curve"].to_numpy()
     known = [r for r in references if r.dataset is not None]
