@@ -149,7 +149,7 @@ def record(
 
     first = PILOT if target.samples is None else min(PILOT, target.samples)
     smooth = SMOOTHNESS * (target.standard_error or 1e-3)
-    degree = smoothness(served, smooth)
+    degree = smoothness(served, smooth) if anchors is None else min(smoothness(served, smooth), anchors - 1)
     compiling = 0.0
     while True:
         plan = make_plan(stack, sets, lateral=lateral, reserve=reserve, degree=degree, anchors=anchors)
@@ -165,7 +165,7 @@ def record(
             tested = interpolation_bias(stack, walks, plan.rows, plan.degree, split.bear, plan.scaled, source)
             bias = float(np.abs(tested).max(initial=0.0))
             good = bias <= 0.5 * (target.standard_error or math.inf)
-        if good or plan.degree >= min(MAX_DEGREE, len(served) - 1):
+        if good or anchors is not None or plan.degree >= min(MAX_DEGREE, len(served) - 1):
             break
         degree = plan.degree + 1
     if split.wear > WORN:

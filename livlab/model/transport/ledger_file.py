@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -119,11 +120,12 @@ def save(ledger: Ledger, path: Path) -> None:
         else {k: getattr(ledger.compression, k) for k in ("rows_before", "tolerance", "error")},
     }
     about["about"]["half_width_mm"] = _plain([ledger.about["half_width_mm"]])[0]
+    said = json.dumps(about, sort_keys=True)
     attributes = {
         "format": FORMAT,
         "version": VERSION,
-        "sha256": ledger.entries.digest(),
-        "ledger": json.dumps(about, sort_keys=True),
+        "sha256": _digest({name: x[1] for name, x in data.items()}, said),
+        "ledger": said,
         "conventions": "lengths in mm, coefficients in 1/mm; a row counts exp(log_weight + theta . features): path "
         "lengths in each layer, then scatterings in the counted layers; side 0 up, 1 down, 2 side, 3 given up",
     }
@@ -167,8 +169,9 @@ def load(path: Path | str) -> Ledger:
         ledger = _from(found)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise DatasetError.of("ledger", path.name, f"is damaged ({error})", _REMEDY) from error
-    if ledger.entries.digest() != found.attrs.get("sha256"):
-        raise DatasetError.of("ledger", path.name, "is damaged (its rows do not match their checksum)", _REMEDY)
+    held = {str(name): values.to_numpy() for name, values in found.variables.items()}
+    if _digest(held, str(found.attrs["ledger"])) != found.attrs.get("sha256"):
+        raise DatasetError.of("ledger", path.name, "is damaged (its numbers do not match their checksum)", _REMEDY)
     return ledger
 
 
@@ -213,6 +216,16 @@ def _from(found: xr.Dataset) -> Ledger:
         more,
         compression,
     )
+
+
+def _digest(arrays: Mapping[str, Any], said: str) -> str:
+    """SHA-256 over all that a file holds."""
+    digest = hashlib.sha256(said.encode())
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {values.dtype.newbyteorder('<').str} {values.shape}".encode())
+        digest.update(values.astype(values.dtype.newbyteorder("<"), copy=False).tobytes())
+    return digest.hexdigest()
 
 
 def _plain(values: Any) -> list[Any]:

@@ -146,6 +146,7 @@ class _Walk:
             # The sample is convex: a step that starts inside has left it just if it ends outside.
             side = dr.maximum(dr.abs(place[0]), dr.abs(place[1])) > self.half_width
             met &= ~side
+            path = dr.select(side, dr.minimum(path, self._to_side(p)), path)
 
         way = self._way(stream, inside, winner, free)
         mu_turned, across_turned, azimuth, sign = self._turned(p, way, u, azimuth_bits)
@@ -211,6 +212,15 @@ class _Walk:
         if self.random_entry:
             entered = choose(fresh.weight, entered)
         return stream, left - dr.select(done, d.UInt32(1), d.UInt32(0)), photon, entered, states
+
+    def _to_side(self, p: Photon) -> Any:
+        """Distance to the nearer side along the photon's direction."""
+        dr, half = self.dr, self.half_width
+        away = [
+            dr.fma(-dr.sign(u), x, half) * dr.rcp(dr.maximum(dr.abs(u), _TINY))
+            for x, u in zip(p.place, p.across, strict=True)
+        ]
+        return dr.minimum(away[0], away[1])
 
     def _layers(self, layer: Any) -> tuple[Any, ...]:
         if self.shape.layers == 1:
