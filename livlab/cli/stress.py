@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from livlab.errors import InputError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -42,6 +44,8 @@ def stress(
     from livlab.stress.run import run, write_csv
 
     chosen = select(only, slow=slow)
+    if output is not None and not output.resolve().parent.is_dir():
+        raise InputError.of("output", str(output), "lies in no folder that there is", "Make the folder first.")
     started = time.perf_counter()
     # Into a pipe or file a table must not be folded at 80 characters.
     console = Console(width=None if sys.stdout.isatty() else 180)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -13,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from livlab.errors import EnvironmentProblem
+from livlab.runs_files import write_whole
 from livlab.stress.catalogue import Case, Expectation, trusted
 from livlab.stress.measured import Measured
 from livlab.units import FloatArray
@@ -110,25 +112,22 @@ def run_case(case: Case) -> tuple[Line, ...]:
 
 
 def write_csv(path: Path, lines: Iterable[Line]) -> None:
-    """Write the table, `COLUMNS`; `livlab.reports.stress` reads it."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(COLUMNS)
-        for x in lines:
-            numbers = (x.value, x.standard_error, x.trusted, x.allowed)
-            writer.writerow(
-                [
-                    x.criterion,
-                    *("" if math.isnan(v) else repr(v) for v in numbers),
-                    x.verdict,
-                    f"{x.seconds:.4g}",
-                    "" if math.isnan(x.difference) else repr(x.difference),
-                    x.at,
-                    x.what,
-                    x.trusted_by,
-                    x.note,
-                ]
-            )
+    """Write the table, `COLUMNS`, whole or not at all; `livlab.reports.stress` reads it.
+
+    Raises
+    ------
+    EnvironmentProblem
+        The file cannot be written.
+    """
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for x in lines:
+        numbers = ["" if math.isnan(v) else repr(v) for v in (x.value, x.standard_error, x.trusted, x.allowed)]
+        off = "" if math.isnan(x.difference) else repr(x.difference)
+        words = (x.at, x.what, x.trusted_by, x.note)
+        writer.writerow([x.criterion, *numbers, x.verdict, f"{x.seconds:.4g}", off, *words])
+    write_whole(path, out.getvalue())
 
 
 def _without(case: Case, verdict: Verdict, note: str, spent: float) -> tuple[Line, ...]:

@@ -61,6 +61,17 @@ def test_a_failure_is_told_and_is_the_exit_status(monkeypatch, tmp_path):
     assert "1 FAIL" in section.content[0].text
 
 
+def test_a_folder_that_is_not_there_is_told_before_the_work(monkeypatch, capsys, tmp_path):
+    file = tmp_path / "none" / "x.csv"
+    monkeypatch.setattr(sys, "argv", ["livlab", "stress", "--only", "fresnel", "-o", str(file)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2
+    told = capsys.readouterr()
+    assert "output" in told.err
+    assert "fresnel" not in told.out
+
+
 def test_an_unknown_pattern_names_the_topics(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["livlab", "stress", "--only", "gravity"])
     with pytest.raises(SystemExit) as stop:
