@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from livlab.errors import InputError
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.ledger import Detector, record
 from livlab.model.transport.ledger_compress import Domain, compress, widened
@@ -247,6 +247,16 @@ def test_sums_against_numpy(n, s):
         assert np.allclose(found.slope_square[d], q @ (e * along) ** 2, rtol=1e-12)
 
 
+def test_sums_of_features_from_a_sample_of_many_rows():
+    rows, rng = random_rows(200_000, 3)
+    theta = -rng.random((3, 40))
+    exact, rough = sums(rows, theta), sums(rows, theta, exact=False)
+    assert np.array_equal(exact.count, rough.count)
+    assert np.array_equal(exact.square, rough.square)
+    assert np.allclose(rough.features, exact.features, rtol=0.1)
+    assert not np.array_equal(rough.features, exact.features)
+
+
 def test_sums_of_vanishing_and_huge_weights_stay_finite():
     rows, _ = random_rows(16, 4)
     theta = np.full((4, 2), -1e4)
@@ -316,6 +326,24 @@ def test_constant_optics_need_one_anchor(libllvm):
     found = record(made, samples=2000)
     assert len(found.anchors) == 1
     assert found.degree == 0
+
+
+def test_bias_is_told_where_only_the_mixture_of_phase_functions_changes(libllvm):
+    """Two scatterers of one mean cosine and other shapes: nothing but their shares changes with the wavelength."""
+    shares = np.linspace(0.0, 1.0, W.size)
+    parts = (
+        Interaction("blood", 0.2 * ONE, 0 * ONE, (Isotropic(),) * W.size),
+        Interaction("even", 3.0 * shares + 1e-9, ONE, (Isotropic(),) * W.size),
+        Interaction("dipole", 3.0 * (1 - shares) + 1e-9, ONE, (Rayleigh(),) * W.size),
+    )
+    mixed = record(stack(PlaneLayer("slab", 0.3, 1.4 * ONE, parts)), samples=2000)
+    assert len(mixed.anchors) == 1
+    assert 1e-5 < mixed.about["interpolation_bias"] < 1e-2
+    same = record(stack(layer("slab", 0.3, 1.4, 0.2, 3.0, 0.0)), samples=2000)
+    assert same.about["interpolation_bias"] == 0.0
+    strict = record(stack(PlaneLayer("slab", 0.3, 1.4 * ONE, parts)), standard_error=3e-4)
+    assert len(strict.anchors) > 1
+    assert strict.about["interpolation_bias"] <= 1.5e-4
 
 
 def test_thickness_acts_through_optical_depth(ledger):

@@ -49,7 +49,7 @@ class Answer:
     valid
         (S,) whether the ledger can answer.
     by_absorption, by_scattering
-        (S, L) derivatives by the layers' coefficients, mm.
+        (S, L) derivatives by the layers' coefficients, mm; rough unless asked for.
     slope, slope_error
         (D, S) derivatives along the tangents asked for.
     """
@@ -137,6 +137,8 @@ class Ledger:
         detector: Detector,
         tangents: Sequence[tuple[FloatArray, FloatArray]] = (),
         least_samples: float = LEAST_SAMPLES,
+        *,
+        gradient: bool = False,
     ) -> Answer:
         """Values at settings, on bare arrays.
 
@@ -150,6 +152,8 @@ class Ledger:
             Pairs of (S, L) changes of absorption and scattering along which slopes are wanted.
         least_samples
             Below this effective sample size an answer is not valid.
+        gradient
+            Whether the derivatives by the coefficients are wanted exactly; else they are estimates.
         """
         if detector not in self._rows:
             if len(self._rows) > 8:
@@ -169,7 +173,7 @@ class Ledger:
                 continue
             ex = theta[k]
             along = [ex.by_absorption * a.T[layer_of] + ex.by_scattering * s.T[layer_of] for a, s in tangents]
-            found = sums(rows, ex.theta, along)
+            found = sums(rows, ex.theta, along, gradient)
             n = float(self.anchors.photons[k])
             entry = enters / (1.0 - specular(self.anchors.index[k : k + 1], self.source)[0])
             share = c[:, k] * entry / n
@@ -251,7 +255,7 @@ class Ledger:
 
         sets = settings_of(self, absorption, scattering, wavelength_nm, anisotropy)
         tangents = unit_tangents(len(sets), len(self.layers)) if gradient else ()
-        found = self.answer(sets, detector or Detector.total(), tangents, least_samples)
+        found = self.answer(sets, detector or Detector.total(), tangents, least_samples, gradient=gradient)
         if worn == "raise":
             refuse(found, sets, least_samples)
         return evaluation(self, found, sets, gradient)

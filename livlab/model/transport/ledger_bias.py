@@ -41,10 +41,12 @@ def interpolation_bias(
     source
         The light.
     at
-        Wavelengths by place; default: half-way between neighbouring anchors.
+        Wavelengths by place; default: half-way between neighbouring anchors, the ends if there is one anchor;
+        those whose optics are the anchor's own are left out.
     """
     if at is None:
-        at = [(a + b) // 2 for a, b in pairwise(rows)]
+        at = [(a + b) // 2 for a, b in pairwise(rows)] or [0, len(stack.wavelength_nm) - 1]
+        at = [k for k in at if not all(_alike(stack, k, row) for row in rows)]
     at = [k for k in at if k not in rows]
     if not at:
         return np.zeros(0)
@@ -62,6 +64,15 @@ def interpolation_bias(
                 value = _solve(stack.at([row]), own, sets.absorption[i], scattering, source)
                 found[i] += c[i, k] * value
     return found
+
+
+def _alike(stack: OpticalStack, a: int, b: int) -> bool:
+    """Whether indices are equal at two wavelengths, and each layer scatters by one and the same phase function."""
+    same = [stack.n_above[a] == stack.n_above[b], stack.n_below[a] == stack.n_below[b]]
+    for layer in stack.layers:
+        met = {i.phases[k] for i in layer.interactions for k in (a, b) if i.rate[k] * i.albedo[k] > 0}
+        same += [layer.n[a] == layer.n[b], len(met) <= 1]
+    return all(same)
 
 
 def _solve(

@@ -25,6 +25,7 @@ _LOADS = 4  # features that the compiled loop takes at a time
 _ROWS = 1 << 14
 _SETS = 256
 _LINE = 32  # settings that the compiled loop takes at a time; a rest would go one by one
+_SAMPLED = 8  # one tile in so many tells mean paths
 _WORTH_THREADS = 1 << 20
 _NOTHING = -1e4  # ln of the ratio where scattering vanishes: any scattered row counts nothing
 
@@ -172,7 +173,7 @@ def _whole_bins(detector: Detector, tally: Tally) -> list[int]:
     return [t * radii + r for t in picked[0] for r in picked[1]]
 
 
-def sums(rows: Rows, theta: FloatArray, directions: Sequence[FloatArray] = ()) -> Sums:
+def sums(rows: Rows, theta: FloatArray, directions: Sequence[FloatArray] = (), exact: bool = True) -> Sums:
     """Sums over rows at each setting, on all cores.
 
     Parameters
@@ -183,6 +184,8 @@ def sums(rows: Rows, theta: FloatArray, directions: Sequence[FloatArray] = ()) -
         (F, S) exponents.
     directions
         (F, S) each: θ' along which slopes are wanted.
+    exact
+        Whether the sums of features are wanted of all rows; else of a sample where there are many.
     """
     from livlab.model.transport.ledger_kernel import accumulate
 
@@ -200,12 +203,14 @@ def sums(rows: Rows, theta: FloatArray, directions: Sequence[FloatArray] = ()) -
     ]
     total = Sums.zeros(features, len(along), settings)
 
+    every = 1 if exact or len(rows.log_weight) < _ROWS else _SAMPLED
+
     def work(task: tuple[slice, slice]) -> Sums:
         r, c = task
         some, turned = np.ascontiguousarray(padded[:, c]), np.ascontiguousarray(along[:, :, c])
         part = Sums.zeros(features, len(along), some.shape[1])
         sums_of = (part.count, part.square, part.features, part.slope, part.slope_square)
-        accumulate(rows.features[r], rows.log_weight[r], rows.concentration[r], some, turned, *sums_of)
+        accumulate(rows.features[r], rows.log_weight[r], rows.concentration[r], some, turned, every, *sums_of)
         return part
 
     workers = min(os.cpu_count() or 1, len(tasks))

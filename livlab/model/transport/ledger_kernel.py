@@ -49,6 +49,7 @@ def _accumulate(
     concentration: NDArray[np.float32],
     theta: FloatArray,
     directions: FloatArray,
+    every: int,
     count: FloatArray,
     square: FloatArray,
     features: FloatArray,
@@ -57,7 +58,8 @@ def _accumulate(
 ) -> None:
     """Add rows x (N, F) at exponents theta (F, S) to sums of (S,), (S,), (F, S), (D, S), (D, S).
 
-    `directions` is (D, F, S). F must be a multiple of 4; S had better be one of 32.
+    `directions` is (D, F, S). Features are summed over one tile in `every`, times that.
+    F must be a multiple of 4; S had better be one of 32.
     """
     rows, width = x.shape
     sets = theta.shape[1]
@@ -73,14 +75,18 @@ def _accumulate(
             row[:] = np.float64(log_weight[start + i])
             _dot(one[i], theta, row)
             _weigh(row, np.float64(concentration[start + i]), count, square)
-        for i in range(n, TILE):
-            e[i, :] = 0.0
-        _gather(one, e, features)
+        if (start // TILE) % every == 0:
+            for i in range(n, TILE):
+                e[i, :] = 0.0
+            _gather(one, e, features)
         for d in range(directions.shape[0]):
             for i in range(n):
                 along[:] = 0.0
                 _dot(one[i], directions[d], along)
                 _slope(e[i], along, np.float64(concentration[start + i]), slope[d], slope_square[d])
+    for f in range(width):
+        for s in range(sets):
+            features[f, s] *= every
 
 
 # Each loop below writes few arrays and reads at most eight: more, and LLVM gives up proving them apart.
