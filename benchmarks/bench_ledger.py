@@ -116,9 +116,8 @@ def measure(name: str, error: float, variant: Variant, share: float) -> None:
     print(f"  walk      {whole} for the same error ({samples} photons a wavelength walked, times {scale:.1f})")
     if name in MCML:
         needed = BAND.size * samples * scale / MCML[name]
-        print(
-            f"  MCML      {needed:7.1f} s clock for as many photons at its speed: {needed / total.clock:.0f} times longer"
-        )
+        ratio = needed / total.clock
+        print(f"  MCML      {needed:7.1f} s clock for as many photons at its speed: {ratio:.0f} times longer")
     off = (plain.reflectance - found.reflectance) / np.hypot(plain.reflectance_se, found.reflectance_se)
     print(f"  speed-up  {whole.clock / total.clock:.0f} by the clock, {whole.processor / total.processor:.0f} by the "
           f"processor; they differ by {float(np.sqrt((off**2).mean())):.2f} joint standard errors in the mean square",
