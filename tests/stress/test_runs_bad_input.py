@@ -152,7 +152,8 @@ def test_a_run_that_is_there_is_found_in_an_instant(place: Path) -> None:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert "Done before" in done.stdout
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 1.5
-    modules = "import sys; from livlab.cli import app; app(['run', '--no-report', 'bad.toml'], standalone_mode=False); print(*sys.modules)"
+    call = "app(['run', '--no-report', 'bad.toml'], standalone_mode=False)"
+    modules = f"import sys; from livlab.cli import app; {call}; print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", modules], cwd=place, env=environment(place), capture_output=True, text=True, check=True
     ).stdout.split()
