@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
-from livlab.model.transport.ledger_compress import SAYS, compress, domain, widened
+from livlab.model.transport.ledger_compress import SAYS, compress_ledger
 from livlab.model.transport.ledger_data import Anchors, Coefficients, Compression, Detector, Entries
 from livlab.model.transport.ledger_evaluate import Exponents, exponents, select, sums
 from livlab.model.transport.ledger_plan import WORN, blend, levels, specular, wear_of
@@ -30,8 +29,6 @@ LEAST_SAMPLES = 100.0
 """Least effective sample size of a valid answer."""
 
 _HAS_A_SAY = 0.1  # |c| from which an anchor's wear counts
-_CHECKED = 192  # settings at which a compression is measured
-_RANGE = (partial(np.min, axis=1), partial(np.max, axis=1))
 
 
 @dataclass(frozen=True)
@@ -360,29 +357,7 @@ class Ledger:
         InputError
             An argument out of bounds, or a ledger that is compressed already.
         """
-        for name, value in (("absorption_spread", absorption_spread), ("scattering_spread", scattering_spread)):
-            if not 0.0 <= value < 1.0:
-                raise InputError.of(name, value, "must be within [0, 1)", "Give a share such as 0.2.")
-        if tolerance is None:
-            worst = self.answer(self.served, Detector.total()).standard_error.max()
-            tolerance = max(0.1 * float(worst), 1e-9)
-        sets = widened(self.served, absorption_spread, scattering_spread)
-        c, theta = self.theta(sets)
-        low, high = (np.stack([f(x.theta[:, np.abs(c[:, k]) > SAYS]) for k, x in enumerate(theta)]) for f in _RANGE)
-        some = sets.take(np.arange(0, len(sets), max(1, len(sets) // _CHECKED)))
-        c, theta = self.theta(some)
-        domains = [domain(x.theta, c[:, k]) for k, x in enumerate(theta)]
-        sides = [Detector.total("up"), Detector.total("down")]
-        truth = [self.answer(some, x).value for x in sides]
-        wanted = tolerance
-        for _ in range(8):
-            made = replace(self, entries=compress(self.entries, self.anchors, domains, wanted), _rows={})
-            errors = [float(np.abs(made.answer(some, x).value - t).max()) for x, t in zip(sides, truth, strict=True)]
-            if max(errors) <= tolerance:
-                break
-            wanted *= 0.5 * tolerance / max(errors)
-        about = Compression(len(self.entries), tolerance, max(errors), low, high)
-        return replace(made, compression=about, _rows={})
+        return compress_ledger(self, tolerance, absorption_spread, scattering_spread)
 
     def save(self, path: Path | str) -> None:
         """Write a NetCDF file that `load` reads.

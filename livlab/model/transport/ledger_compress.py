@@ -8,18 +8,25 @@ halved where most is lost, until all losses together stay below the tolerance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
-from livlab.model.transport.ledger_data import SIDES, Anchors, Coefficients, Entries
+from livlab.model.transport.ledger_data import SIDES, Anchors, Coefficients, Compression, Detector, Entries
 from livlab.units import FloatArray
+
+if TYPE_CHECKING:
+    from livlab.model.transport.ledger_answer import Ledger
 
 _LEVELS = 40
 _PROBES = 12
 _NARROW = 0.2
+_CHECKED = 192  # settings at which a compression is measured
+_RANGE = (partial(np.min, axis=1), partial(np.max, axis=1))
 SAYS = 1e-3
 """Least |c| of an anchor that has a say in an answer."""
 
@@ -205,3 +212,32 @@ def _split(z: FloatArray, heavy: FloatArray, budget: float) -> NDArray[np.int64]
         bins += int(split.sum())
         active = active[goes]
     return np.unique(label, return_inverse=True)[1].astype(np.int64)
+
+
+def compress_ledger(
+    ledger: Ledger, tolerance: float | None, absorption_spread: float, scattering_spread: float
+) -> Ledger:
+    """A ledger binned until the error measured over its domain is within the tolerance: `Ledger.compressed`."""
+    for name, value in (("absorption_spread", absorption_spread), ("scattering_spread", scattering_spread)):
+        if not 0.0 <= value < 1.0:
+            raise InputError.of(name, value, "must be within [0, 1)", "Give a share such as 0.2.")
+    if tolerance is None:
+        worst = ledger.answer(ledger.served, Detector.total()).standard_error.max()
+        tolerance = max(0.1 * float(worst), 1e-9)
+    sets = widened(ledger.served, absorption_spread, scattering_spread)
+    c, theta = ledger.theta(sets)
+    low, high = (np.stack([f(x.theta[:, np.abs(c[:, k]) > SAYS]) for k, x in enumerate(theta)]) for f in _RANGE)
+    some = sets.take(np.arange(0, len(sets), max(1, len(sets) // _CHECKED)))
+    c, theta = ledger.theta(some)
+    domains = [domain(x.theta, c[:, k]) for k, x in enumerate(theta)]
+    sides = [Detector.total("up"), Detector.total("down")]
+    truth = [ledger.answer(some, x).value for x in sides]
+    wanted = tolerance
+    for _ in range(8):
+        made = replace(ledger, entries=compress(ledger.entries, ledger.anchors, domains, wanted), _rows={})
+        errors = [float(np.abs(made.answer(some, x).value - t).max()) for x, t in zip(sides, truth, strict=True)]
+        if max(errors) <= tolerance:
+            break
+        wanted *= 0.5 * tolerance / max(errors)
+    about = Compression(len(ledger.entries), tolerance, max(errors), low, high)
+    return replace(made, compression=about, _rows={})
