@@ -19,7 +19,7 @@ from livlab.model.transport.ledger_data import (
     sort_entries,
 )
 from livlab.model.transport.ledger_evaluate import Rows, exponents, select, sums
-from livlab.model.transport.ledger_plan import blend, levels, lobatto, make_plan, reference_stack, wear_of
+from livlab.model.transport.ledger_plan import blend, levels, lobatto, make_plan, reference_stack, snap, wear_of
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
 
@@ -69,6 +69,12 @@ def test_weights_reproduce_polynomials_and_nothing_else():
 def test_lobatto_points():
     assert np.allclose(lobatto(4), [-1, -math.sqrt(0.2), math.sqrt(0.2), 1], atol=1e-12)
     assert np.allclose(lobatto(5), [-1, -math.sqrt(3 / 7), 0, math.sqrt(3 / 7), 1], atol=1e-12)
+
+
+def test_anchors_are_distinct_even_where_wavelengths_are_sparse():
+    assert snap(W, 8) == (0, 1, 2, 3, 5, 6, 7, 8)
+    assert snap(np.array([500.0, 690.0, 695.0, 700.0]), 4) == (0, 1, 2, 3)
+    assert snap(W[:1], 3) == (0,)
 
 
 def test_coefficients_of_a_stack():
@@ -447,6 +453,23 @@ def test_other_stacks_are_refused(ledger):
 def test_bad_arguments(options, named):
     with pytest.raises(InputError, match=named):
         record(tissue(), **options)
+
+
+def test_stacks_that_no_ledger_serves(libllvm):
+    with pytest.raises(InputError, match="too little absorption"):
+        record(stack(layer("bulk", math.inf, 1.4, 0.0, 8.0, 0.5)), samples=2000)
+    thick = layer("slab", 20.0, 1.4, 1e-4, np.where(np.arange(W.size) % 2, 8.0, 16.0), 0.0)
+    with pytest.raises(InputError, match="changes too much"):
+        record(stack(thick), samples=2000, anchors=2)
+    assert len(record(stack(thick), samples=2000).anchors) == W.size  # each its own
+
+
+def test_a_white_slab_and_a_pale_half_space(libllvm):
+    slab = record(stack(layer("slab", 1.0, 1.4, 0.0, 9.0, 0.0)), samples=20_000, seed=1).spectrum()
+    assert np.allclose(slab.taken, 0.0, atol=4 * math.hypot(slab.reflectance_se.max(), slab.transmittance_se.max()))
+    pale = record(stack(layer("bulk", math.inf, 1.0, 1e-4, 10.0, 0.0)), samples=20_000, seed=1).spectrum()
+    # 1 − H(1) √(1 − a) at a = 1 − 1e-5, H(1) = 2.908
+    assert (np.abs(pale.reflectance - (1 - 2.89 * math.sqrt(1e-5))) < 4 * pale.reflectance_se + 1e-4).all()
 
 
 def test_evaluate_checks_its_arrays(ledger):

@@ -24,6 +24,7 @@ from livlab.model.transport.ledger_data import Coefficients, Detector, Entries
 from livlab.model.transport.ledger_file import load, stack_digest
 from livlab.model.transport.ledger_plan import (
     ACCEPTED,
+    LEAST_ABSORPTION,
     MAX_DEGREE,
     WORN,
     Plan,
@@ -154,10 +155,18 @@ def record(
     while True:
         plan = make_plan(stack, sets, lateral=lateral, reserve=reserve, degree=degree, anchors=anchors)
         recorder = start(plan)
+        walks = anchors_of(recorder.walked, np.ones(len(plan.rows), dtype=np.int64))
+        if math.isinf(share(sets, walks, plan.degree, plan.scaled, np.ones(len(stack.layers))).wear):
+            raise InputError.of(
+                "stack",
+                stack.name,
+                "has an endless layer with too little absorption for a walk to end "
+                f"(below {LEAST_ABSORPTION:g} of its reduced scattering), or scattering that appears within the band",
+                "Give it some absorption or a thickness, or record shorter bands.",
+            )
         entries, spent = recorder.launch(first, seed)
         compiling += spent
         paths = _mean_paths(entries, len(stack.layers))
-        walks = anchors_of(recorder.walked, np.ones(len(plan.rows), dtype=np.int64))
         split = share(sets, walks, plan.degree, plan.scaled, paths)
         good = split.wear <= ACCEPTED and split.curvature <= 0.25 * smooth
         bias = math.nan
@@ -165,14 +174,14 @@ def record(
             tested = interpolation_bias(stack, walks, plan.rows, plan.degree, split.bear, plan.scaled, source)
             bias = float(np.abs(tested).max(initial=0.0))
             good = bias <= 0.5 * (target.standard_error or math.inf)
-        if good or anchors is not None or plan.degree >= min(MAX_DEGREE, len(served) - 1):
+        if good or anchors is not None or degree >= min(MAX_DEGREE, len(served) - 1):
             break
-        degree = plan.degree + 1
+        degree += 1
     if split.wear > WORN:
         raise InputError.of(
             "stack",
             f"{len(served)} wavelengths",
-            "scattering changes too much over the band where it is met too often (layers that are not endless)",
+            f"scattering changes too much over the band in layers that are not endless (log variance {split.wear:.2g})",
             "Record shorter bands, or use walk or adding_doubling.",
         )
     parts, walked = [entries], first

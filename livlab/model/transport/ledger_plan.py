@@ -27,7 +27,7 @@ MAX_DEGREE = 8
 DEEP = 1e-6
 """A last layer is endless for reflected light if less than this share can have been at its bottom."""
 
-LEAST_ABSORPTION = 1e-4
+LEAST_ABSORPTION = 1e-7
 """Least reference absorption of an endless layer over its reduced scattering, so that every walk ends."""
 
 CHEAP = 0.2
@@ -319,10 +319,14 @@ def specular(index: FloatArray, source: Source) -> FloatArray:
 
 
 def snap(wavelength_nm: FloatArray, count: int) -> tuple[int, ...]:
-    """Rows of the wavelengths nearest to the best points of the band."""
+    """Rows of the wavelengths nearest to the best points of the band, each once."""
     low, high = wavelength_nm[0], wavelength_nm[-1]
     wanted = 0.5 * (low + high) + 0.5 * (high - low) * lobatto(min(count, len(wavelength_nm)))
-    return tuple(sorted({int(np.abs(wavelength_nm - x).argmin()) for x in wanted}))
+    rows: list[int] = []
+    for x in wanted:
+        near = np.argsort(np.abs(wavelength_nm - x), kind="stable")
+        rows.append(next(int(k) for k in near if k not in rows))
+    return tuple(sorted(rows))
 
 
 def _reference(anchors: Coefficients, sets: Coefficients, degree: int, scaled: bool, reserve: float) -> FloatArray:
