@@ -1,0 +1,1 @@
+"""Reflectance from pictures of spheres: geometry, samples, tables, models and fits. Knows no renderer."""
