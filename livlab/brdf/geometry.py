@@ -1,8 +1,8 @@
 """The rig in which a sphere is pictured: camera, lights, sphere, all in one right-handed world frame in mm.
 
-Conventions. `wi` points from the surface to the light, `wo` to the eye, both unit vectors away from the surface; a BRDF
-carries no cosine. Pixel (column u, row v) has its centre at (u, v), rows downwards, as OpenCV has it; a camera looks along
-its own +z with x to the right and y downwards.
+Conventions. `wi` points from the surface to the light, `wo` to the eye, both unit vectors away from the surface; a
+BRDF carries no cosine. Pixel (column u, row v) has its centre at (u, v), rows downwards, as OpenCV has it; a camera
+looks along its own +z with x to the right and y downwards.
 """
 
 from dataclasses import dataclass, field

@@ -17,6 +17,7 @@ RANKS = {
     "livlab.metrics": 1,
     "livlab.criteria": 1,
     "livlab.llvm": 1,
+    "livlab.optimise": 1,
     "livlab.llvm_probe": 1,
     "livlab.model": 2,
     "livlab.model.tissue": 2,
@@ -31,7 +32,7 @@ RANK_OF_THE_REST = 5  # study, reports, acquire, brdf, configuration, runs, doct
 DOORS = {
     "mitsuba": ("livlab.model.tracer",),
     "drjit": ("livlab.model.transport", "livlab.model.tracer"),
-    "nlopt": ("livlab.study",),
+    "nlopt": ("livlab.optimise",),
     "dask": ("livlab.study.scheduler",),
     "pickle": (),
     "marshal": (),
@@ -63,6 +64,14 @@ HEAVY = (
     "playwright",
     "nlopt",
     "dask",
+    "trimesh",
+    "igl",
+    "manifold3d",
+    "nibabel",
+    "nrrd",
+    "rawpy",
+    "OpenEXR",
+    "SALib",
 )
 
 MAX_LINES = 400
