@@ -49,7 +49,7 @@ def test_a_forbidden_import_is_found(tmp_path, name, text, said):
             "livlab/model/tracer/scenes.py",
             "import mitsuba as mi\nimport drjit as dr\nfrom livlab.model import transport\n",
         ),
-        ("livlab/study/driver.py", "import nlopt\n"),
+        ("livlab/optimise/driver.py", "import nlopt\n"),
         ("livlab/study/scheduler.py", "import dask\n"),
         ("livlab/reports/page.py", "from livlab import __version__\nfrom livlab.metrics import rmse\n"),
         ("livlab/acquire/a.py", "from livlab.model.transport.walk import walk\n"),
