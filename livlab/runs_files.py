@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: atomic writes, a lock on a folder, hashes."""
+"""Files of a run: CSV, hashes, a lock on a folder; what is written is whole or not there (`livlab.files`)."""
 
 from __future__ import annotations
 
@@ -13,54 +13,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from livlab.errors import EnvironmentProblem
+from livlab.files import REMEDIES, told_plainly, write_whole
 
 SPACE_BYTES = 16 << 20
 """Free space that a run wants before it starts: a few times what a spectral run writes."""
-
-_REMEDIES = {
-    errno.ENOSPC: "Free some space, or name another folder with --out.",
-    errno.EDQUOT: "Your quota is used up: free some space, or name another folder with --out.",
-    errno.EROFS: "The file system is read-only: name another folder with --out.",
-    errno.EACCES: "Ask for permission to write there, or name another folder with --out.",
-    errno.EPERM: "Ask for permission to write there, or name another folder with --out.",
-    errno.ENOTDIR: "A file stands where a folder is needed: name another folder with --out.",
-    errno.EEXIST: "A file stands where a folder is needed: name another folder with --out.",
-    errno.ENAMETOOLONG: "Use a shorter name, or a shorter --out.",
-}
-
-
-@contextlib.contextmanager
-def told_plainly(path: Path) -> Iterator[None]:
-    """Turn an `OSError` inside into an `EnvironmentProblem` that names the path and the remedy."""
-    try:
-        yield
-    except OSError as error:
-        remedy = _REMEDIES.get(error.errno or 0, "Check the disk, or name another folder with --out.")
-        raise EnvironmentProblem(f"Cannot write {path}: {error.strerror or error}.", remedy=remedy) from error
-
-
-def write_whole(path: Path, content: bytes | str | memoryview) -> None:
-    """Write a file so that a reader, or a crash, finds the old one or the new one and nothing between.
-
-    Raises
-    ------
-    EnvironmentProblem
-        The disk is full, read-only or forbidden; the old file, if any, is untouched and nothing is left behind.
-    """
-    raw = content.encode("utf-8") if isinstance(content, str) else bytes(content)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with told_plainly(path):
-        try:
-            with temporary.open("wb") as stream:
-                stream.write(raw)
-                stream.flush()
-                os.fsync(stream.fileno())
-            temporary.replace(path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
-        _sync_folder(path.parent)
 
 
 def csv_text(columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> str:
@@ -112,7 +68,7 @@ def open_folder(folder: Path, space: int = SPACE_BYTES) -> None:
     if free < space:
         raise EnvironmentProblem(
             f"Cannot write {folder}: {free / 2**20:.1f} MiB free, a run wants {space / 2**20:.0f} MiB.",
-            remedy=_REMEDIES[errno.ENOSPC],
+            remedy=REMEDIES[errno.ENOSPC],
         )
 
 
@@ -146,7 +102,7 @@ def locked(folder: Path) -> Iterator[None]:
         with told_plainly(path):
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-        for leftover in folder.rglob(".*.tmp"):
+        for leftover in folder.rglob(".*.tmp*"):
             leftover.unlink(missing_ok=True)
         yield
     finally:
@@ -161,10 +117,12 @@ def _cell(value: object) -> str:
     return str(value)
 
 
-def _sync_folder(folder: Path) -> None:
-    with contextlib.suppress(OSError):  # some file systems cannot; the rename itself has happened
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+__all__ = [
+    "csv_text",
+    "locked",
+    "open_folder",
+    "read_csv",
+    "sha256",
+    "told_plainly",
+    "write_whole",
+]

@@ -11,6 +11,7 @@ from pathlib import Path
 RANKS = {
     "livlab": 0,
     "livlab.errors": 0,
+    "livlab.files": 0,
     "livlab.config_errors": 0,
     "livlab.units": 0,
     "livlab.datasets": 1,
