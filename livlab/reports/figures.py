@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
+from markupsafe import Markup
 from matplotlib.figure import Figure
+
+from livlab.reports.tables import Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,6 +70,18 @@ def inline(text: str, name: str, label: str) -> str:
     text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     return text.replace("<svg ", f'<svg role="img" aria-label="{escape(label, quote=True)}" ', 1)
+
+
+class Pictures:
+    """Figures drawn once: plain for the folder, themed for the page."""
+
+    def __init__(self) -> None:
+        self.plain: dict[str, str] = {}
+
+    def add(self, name: str, figure: Figure, caption: str) -> Picture:
+        """Draw a figure under a name of its own; it also becomes figures/NAME.svg."""
+        self.plain[name] = svg(figure)
+        return Picture(Markup(inline(self.plain[name], name, caption)), caption)
 
 
 def curves(result: xr.Dataset) -> Figure:

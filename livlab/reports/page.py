@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections import Counter
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,6 @@ from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
     Claims,
     Code,
-    Picture,
     Section,
     Text,
     claim_rows,
@@ -33,6 +34,12 @@ from livlab.reports.tables import (
 from livlab.runs_files import told_plainly, write_whole
 
 ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
+
+BODIES = {
+    "spectral": "livlab.reports.page:spectral_sections",
+}
+"""What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> list[Section]`,
+as "module:function", imported on use."""
 
 
 def build_report(run_folder: Path) -> Path:
@@ -48,7 +55,7 @@ def build_report(run_folder: Path) -> Path:
         The page cannot be written.
     """
     run = read_run(run_folder)
-    pictures = _Pictures()
+    pictures = figures.Pictures()
     sections = [s for s in _sections(run, pictures) if s.content]
     environment = Environment(
         loader=PackageLoader("livlab.reports"),
@@ -80,17 +87,6 @@ def build_report(run_folder: Path) -> Path:
     return run.path / "report.html"
 
 
-class _Pictures:
-    """Figures drawn once: plain for the folder, themed for the page."""
-
-    def __init__(self) -> None:
-        self.plain: dict[str, str] = {}
-
-    def add(self, name: str, figure: Any, caption: str) -> Picture:
-        self.plain[name] = figures.svg(figure)
-        return Picture(Markup(figures.inline(self.plain[name], name, caption)), caption)
-
-
 def _facts(run: RunData) -> list[tuple[str, str]]:
     m = run.manifest
     rows = [
@@ -118,7 +114,7 @@ def _spell(instrument: Any) -> str:
     return f"{kind} ({', '.join(parts)})" if parts else str(kind)
 
 
-def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
+def _sections(run: RunData, pictures: figures.Pictures) -> list[Section]:
     claims = Section("claims", "What is claimed, and whether it holds")
     if len(run.claims):
         claims.content.append(
@@ -140,12 +136,7 @@ def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
         claims.content.append(Text("This run makes no claims."))
     return [
         claims,
-        _curves(run, pictures),
-        _coefficients(run, pictures),
-        _budget(run, pictures),
-        _tissue(run),
-        _readings(run),
-        simulated(run.table("plan")),
+        *_body(run)(run, pictures),
         _provenance(run),
         _cost(run, pictures),
         hard_cases(run.table("stress")),
@@ -153,7 +144,26 @@ def _sections(run: RunData, pictures: _Pictures) -> list[Section]:
     ]
 
 
-def _curves(run: RunData, pictures: _Pictures) -> Section:
+def _body(run: RunData) -> Callable[[RunData, figures.Pictures], list[Section]]:
+    """Builder of the sections that only this kind of run has."""
+    module, _, name = BODIES.get(str(run.manifest.get("kind") or "spectral"), BODIES["spectral"]).partition(":")
+    found: Callable[[RunData, figures.Pictures], list[Section]] = getattr(importlib.import_module(module), name)
+    return found
+
+
+def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[Section]:
+    """What a spectral experiment shows."""
+    return [
+        _curves(run, pictures),
+        _coefficients(run, pictures),
+        _budget(run, pictures),
+        _tissue(run),
+        _readings(run),
+        simulated(run.table("plan")),
+    ]
+
+
+def _curves(run: RunData, pictures: figures.Pictures) -> Section:
     section = Section("curves", "The measured curves")
     if run.result is None:
         section.content.append(Text("No reading has been measured yet."))
@@ -192,7 +202,7 @@ def _curves(run: RunData, pictures: _Pictures) -> Section:
     return section
 
 
-def _coefficients(run: RunData, pictures: _Pictures) -> Section:
+def _coefficients(run: RunData, pictures: figures.Pictures) -> Section:
     section = Section("coefficients", "What the tissue is made of, optically")
     if run.coefficients is not None:
         section.content.append(
@@ -206,7 +216,7 @@ def _coefficients(run: RunData, pictures: _Pictures) -> Section:
     return section
 
 
-def _budget(run: RunData, pictures: _Pictures) -> Section:
+def _budget(run: RunData, pictures: figures.Pictures) -> Section:
     section = Section("energy", "Where the light went")
     if run.result is None:
         return section
@@ -288,7 +298,7 @@ def _provenance(run: RunData) -> Section:
     return section
 
 
-def _cost(run: RunData, pictures: _Pictures) -> Section:
+def _cost(run: RunData, pictures: figures.Pictures) -> Section:
     section = Section("cost", "What it cost")
     costs = run.table("costs")
     if not len(costs):
@@ -319,7 +329,7 @@ def _cost(run: RunData, pictures: _Pictures) -> Section:
     return section
 
 
-def _every_solver(run: RunData, pictures: _Pictures, section: Section) -> None:
+def _every_solver(run: RunData, pictures: figures.Pictures, section: Section) -> None:
     """What `livlab cost` found on this run's scene, if it was asked."""
     table = run.table("cost")
     if not len(table):
