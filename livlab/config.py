@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic.json_schema import models_json_schema
 
 from livlab.config_errors import explain, nearest
 from livlab.errors import ConfigError
@@ -78,6 +79,7 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:prepare"),
+    "picture": Kind("livlab.config_picture:PictureExperiment", "livlab.study.picture:prepare"),
 }
 """Every kind of experiment that a file can ask for with `kind = "…"`."""
 
@@ -115,7 +117,7 @@ def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
     >>> parse_experiment('schema = 1\nkind = "spectrel"', source="a.toml")
     Traceback (most recent call last):
         ...
-    livlab.errors.ConfigError: a.toml: kind = 'spectrel': must be one of spectral. Did you mean 'spectral'?
+    livlab.errors.ConfigError: a.toml: kind = 'spectrel': must be one of picture, spectral. Did you mean 'spectral'?
     """
     try:
         data = tomllib.loads(text)
@@ -143,8 +145,9 @@ def to_toml(config: Experiment) -> str:
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema of an experiment file, for editors that complete and check as one types."""
-    schemas = [kind.load_model().model_json_schema(by_alias=True) for kind in KINDS.values()]
-    schema = schemas[0] if len(schemas) == 1 else {"anyOf": schemas}
+    # Together, so that what two kinds share is defined once, where "$ref" looks for it.
+    refs, shared = models_json_schema([(kind.load_model(), "validation") for kind in KINDS.values()], by_alias=True)
+    schema: dict[str, Any] = {"anyOf": list(refs.values()), **shared}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,

@@ -138,7 +138,7 @@ def test_a_report_of_what_is_no_run_folder_is_told(small: Path, made: bool, mess
 def test_the_schema_is_json_and_goes_to_a_file_if_asked(small: Path) -> None:
     code, out, _ = call("schema")
     assert code == 0
-    assert "wavelengths" in json.loads(out)["properties"]
+    assert "wavelengths" in json.loads(out)["$defs"]["SpectralExperiment"]["properties"]
     call("schema", "--out", "schema.json")
     assert json.loads((small / "schema.json").read_text()) == json.loads(out)
 

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -126,7 +128,7 @@ def test_a_good_file_is_read() -> None:
         ("schema = 1\n", "", "schema: the key is missing", "Begin the file with the line `schema = 1`"),
         ("schema = 1\n", "schema = 2\n", r"schema = 2: this livlab reads 1", "Update livlab"),
         ("schema = 1\n", 'schema = "1"\n', r"schema = '1': this livlab reads 1", "Write `schema = 1`"),
-        ('kind = "spectral"', 'kind = "spectrl"', r"kind = 'spectrl': must be one of spectral", "Did you mean 'spectral'?"),
+        ('kind = "spectral"', 'kind = "spectrl"', r"kind = 'spectrl': must be one of picture, spectral", "Did you mean 'spectral'?"),
         ('kind = "spectral"', "kind = [1]", r"kind = \[1\]: must be one of", "Pick one"),
         ("[solver]", "[solver", r"line 20, column \d+: not TOML", "Mend the line"),
         ('name = "small"', "name = small", r"line 3, column \d+: not TOML: .*, in: name = small", "quotes"),
@@ -138,8 +140,6 @@ def test_a_good_file_is_read() -> None:
 def test_what_does_not_fit_is_told_with_path_value_bound_and_remedy(
     old: str, new: str, message: str, remedy: str
 ) -> None:
-    import re
-
     assert old in GOOD
     error = told(GOOD.replace(old, new, 1))
     whole = f"{error.message} {error.remedy}"
@@ -227,15 +227,20 @@ def test_what_is_written_out_and_what_is_left_out_have_one_digest() -> None:
 
 
 def test_the_json_schema_knows_every_section_and_says_what_they_mean() -> None:
-    schema = json_schema()
-    properties = schema["properties"]
-    assert {"schema", "name", "tissue", "wavelengths", "instrument", "solver", "reading", "criterion"} <= set(
-        properties
-    )
-    assert schema["additionalProperties"] is False
-    undescribed = [k for k, v in properties.items() if not v.get("description") and k != "kind"]
-    assert undescribed == []
-    assert set(tomllib.loads(GOOD)) <= set(properties)
+    whole = json_schema()
+    kinds = {ref["$ref"].rpartition("/")[2] for ref in whole["anyOf"]}
+    assert kinds == {"SpectralExperiment", "PictureExperiment"}
+    for kind in kinds:
+        schema = whole["$defs"][kind]
+        properties = schema["properties"]
+        assert schema["additionalProperties"] is False
+        undescribed = [k for k, v in properties.items() if not v.get("description") and k != "kind"]
+        assert undescribed == []
+    spectral = whole["$defs"]["SpectralExperiment"]["properties"]
+    assert {"schema", "name", "tissue", "wavelengths", "instrument", "solver", "reading", "criterion"} <= set(spectral)
+    assert set(tomllib.loads(GOOD)) <= set(spectral)
+    broken = [ref for ref in re.findall(r'"#/\$defs/([^"]+)"', json.dumps(whole)) if ref not in whole["$defs"]]
+    assert broken == []
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "experiments").glob("*.toml")), ids=lambda p: p.name)
