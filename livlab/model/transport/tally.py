@@ -40,14 +40,19 @@ class Tally:
     radius_edges
         Edges of the exit point's distance from the origin in mm, increasing from ≥ 0; the last may be inf.
         Empty: one bin over the plane. Light beyond the edges counts in the totals only.
+    phi_edges
+        Edges of the exit direction's azimuth in radians, increasing in [0, π]: 0 is the side that collimated light
+        comes from, π the side of its mirror image; left and right count alike. Asks for `reflectance_directed`.
     """
 
     theta_edges: tuple[float, ...] = ()
     radius_edges: tuple[float, ...] = ()
+    phi_edges: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "theta_edges", _edges("tally.theta_edges", self.theta_edges, math.pi / 2))
         object.__setattr__(self, "radius_edges", _edges("tally.radius_edges", self.radius_edges, math.inf))
+        object.__setattr__(self, "phi_edges", _edges("tally.phi_edges", self.phi_edges, math.pi))
 
     @property
     def binned(self) -> bool:

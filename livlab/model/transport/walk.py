@@ -24,6 +24,7 @@ from livlab.model.transport.fresnel import fresnel
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import LANE_PHOTONS, LAUNCH_PHOTONS, Moments, Tally
 from livlab.model.transport.walk_columns import Columns, Settings
+from livlab.model.transport.walk_directions import Directions
 from livlab.model.transport.walk_kernel import trace
 from livlab.model.transport.walk_observers import Absorbed, Bins, Observer, Totals
 from livlab.model.transport.walk_tables import Estimator, Tables, tables
@@ -50,6 +51,7 @@ _LABELS = {
     "residual": ("wavelength",),
     "reflectance_binned": ("wavelength", "theta_o", "radius"),
     "transmittance_binned": ("wavelength", "theta_o", "radius"),
+    "reflectance_directed": ("wavelength", "theta_o", "phi"),
 }
 _MEANING = {
     "reflectance": "light that leaves through the top, without the specular reflection",
@@ -61,6 +63,7 @@ _MEANING = {
     "residual": "light of photons given up before they ended",
     "reflectance_binned": "reflectance in each bin of exit angle and radius",
     "transmittance_binned": "transmittance in each bin of exit angle and radius",
+    "reflectance_directed": "reflectance in each bin of exit angle and azimuth",
 }
 
 
@@ -115,7 +118,7 @@ def walk(
         On `wavelength` in nm: reflectance, specular, transmittance, lost, redirect_loss, residual, absorbed
         (and `layer`), each as a share of the incident light with its standard error `_se` from the photons'
         own variance; `unfinished` photons; `reflectance_binned`, `transmittance_binned` on (`theta_o`,
-        `radius`) if asked. reflectance + specular + transmittance + Σ absorbed + lost + redirect_loss +
+        `radius`) and `reflectance_directed` on (`theta_o`, `phi`) if asked. reflectance + specular + transmittance + Σ absorbed + lost + redirect_loss +
         residual = 1 for every photon. Attributes: samples, seed, variant, estimator, seconds,
         compile_seconds.
 
@@ -214,7 +217,8 @@ class _Launcher:
         largest_batch: int,
     ) -> None:
         redirects = t.shape.redirects != (0,)
-        space = half_width_mm is not None or bool(tally.radius_edges) or (redirects and t.shape.steered)
+        followed = bool(tally.radius_edges or tally.phi_edges)
+        space = half_width_mm is not None or followed or (redirects and t.shape.steered)
         self.d, self.tally, self.wavelengths = d, tally, t.index.shape[1]
         self.settings = Settings(source, half_width_mm, CAPTURE_WEIGHT, max_steps, space)
         lanes = _lanes(LANES[d.variant], self.wavelengths, largest_batch)
@@ -230,6 +234,8 @@ class _Launcher:
         ]
         if self.tally.binned:
             observers.append(Bins(self.d, self.tally, self.wavelengths))
+        if self.tally.phi_edges:
+            observers.append(Directions(self.d, self.tally, self.wavelengths))
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             states = trace(self.columns, self.settings, observers, samples, seed, number)
@@ -264,10 +270,12 @@ def _dataset(
     total: dict[str, Moments], wavelength_nm: Any, layers: list[str], tally: Tally, attributes: dict[str, Any]
 ) -> xr.Dataset:
     out = xr.Dataset(coords={"wavelength": ("wavelength", wavelength_nm, {"units": "nm"}), "layer": layers})
-    if tally.binned:
-        for name, edges, unit in (("theta_o", tally.theta, "rad"), ("radius", tally.radius, "mm")):
-            middle = [0.5 * (a + b) for a, b in pairwise(edges)]
-            out = out.assign_coords({name: (name, middle, {"units": unit, "edges": list(edges)})})
+    axes = [("theta_o", tally.theta, "rad")] if tally.binned or tally.phi_edges else []
+    axes += [("radius", tally.radius, "mm")] if tally.binned else []
+    axes += [("phi", tally.phi_edges, "rad")] if tally.phi_edges else []
+    for name, edges, unit in axes:
+        middle = [0.5 * (a + b) for a, b in pairwise(edges)]
+        out = out.assign_coords({name: (name, middle, {"units": unit, "edges": list(edges)})})
     for name, dims in _LABELS.items():
         if name not in total:
             continue

@@ -173,6 +173,8 @@ class _Walk:
         none = d.Bool(False)
         radius = dr.sqrt(place[0] * place[0] + place[1] * place[1]) if place != () else None
         entered_now = entered if self.random_entry else None
+        bend = 1.0 if eta is None else dr.select(cross, eta, 1.0)
+        across = tuple(old * bend for old in p.across)
         end = End(
             done,
             out_up,
@@ -185,6 +187,7 @@ class _Walk:
             cosine,
             radius,
             c.wavelength,
+            across,
         )
         states = tuple(o.end(d, o.step(d, s, step), end) for o, s in zip(self.observers, states, strict=True))
 
@@ -193,10 +196,8 @@ class _Walk:
         z = dr.select(met, dr.fma(p.mu, free, p.z), below_top)
         layer = dr.select(cross, dr.select(up, p.layer - 1, p.layer + 1), p.layer)
         mu = dr.select(met, mu_turned, dr.select(cross, mu_behind, -p.mu))
-        across = p.across
         if across != ():
-            bend = dr.select(cross, eta, 1.0) if eta is not None else 1.0
-            across = tuple(dr.select(met, new, old * bend) for new, old in zip(across_turned, p.across, strict=True))
+            across = tuple(dr.select(met, new, old) for new, old in zip(across_turned, across, strict=True))
 
         fresh = self.enter(stream)
         choose = partial(dr.select, done)

@@ -65,6 +65,8 @@ class End:
         Of the exit point in mm, None where positions are not followed.
     wavelength
         Index of the lane's wavelength.
+    across
+        (x, y) of the exit direction outside, () where positions are not followed.
     """
 
     done: Any
@@ -78,6 +80,7 @@ class End:
     cosine: Any
     radius: Any
     wavelength: Any
+    across: Any = ()
 
 
 class Observer(Protocol):
