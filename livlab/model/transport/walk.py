@@ -118,9 +118,9 @@ def walk(
         On `wavelength` in nm: reflectance, specular, transmittance, lost, redirect_loss, residual, absorbed
         (and `layer`), each as a share of the incident light with its standard error `_se` from the photons'
         own variance; `unfinished` photons; `reflectance_binned`, `transmittance_binned` on (`theta_o`,
-        `radius`) and `reflectance_directed` on (`theta_o`, `phi`) if asked. reflectance + specular + transmittance + Σ absorbed + lost + redirect_loss +
-        residual = 1 for every photon. Attributes: samples, seed, variant, estimator, seconds,
-        compile_seconds.
+        `radius`) and `reflectance_directed` on (`theta_o`, `phi`) if asked. reflectance + specular +
+        transmittance + Σ absorbed + lost + redirect_loss + residual = 1 for every photon. Attributes: samples,
+        seed, variant, estimator, seconds, compile_seconds.
 
     Raises
     ------
