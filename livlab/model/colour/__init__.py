@@ -1,0 +1,40 @@
+"""From spectra to colour: three routes to linear sRGB, colour differences, and image files."""
+
+from livlab.model.colour.difference import delta_e_2000
+from livlab.model.colour.encoding import Gamut, decode_srgb, encode_srgb, in_gamut, out_of_gamut
+from livlab.model.colour.files import write_exr, write_png
+from livlab.model.colour.observers import ILLUMINANTS, OBSERVERS, cie_rgb, cie_weights, sampling_error
+from livlab.model.colour.routes import (
+    CHANNEL_CENTRES_NM,
+    channel_wavelengths,
+    stochastic_rgb,
+    stochastic_weights,
+    thesis_rgb,
+    thesis_weights,
+    to_rgb,
+    to_rgb_error,
+)
+
+__all__ = [
+    "CHANNEL_CENTRES_NM",
+    "ILLUMINANTS",
+    "OBSERVERS",
+    "Gamut",
+    "channel_wavelengths",
+    "cie_rgb",
+    "cie_weights",
+    "decode_srgb",
+    "delta_e_2000",
+    "encode_srgb",
+    "in_gamut",
+    "out_of_gamut",
+    "sampling_error",
+    "stochastic_rgb",
+    "stochastic_weights",
+    "thesis_rgb",
+    "thesis_weights",
+    "to_rgb",
+    "to_rgb_error",
+    "write_exr",
+    "write_png",
+]

@@ -1,0 +1,73 @@
+"""How different two colours look."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from livlab.errors import InputError
+from livlab.model.colour.encoding import check_channels
+from livlab.model.colour.science import colour_science
+from livlab.units import FloatArray
+
+SRGB_TO_XYZ = np.array(
+    [
+        [0.4123907992659593, 0.3575843393838780, 0.1804807884018343],
+        [0.2126390058715103, 0.7151686787677559, 0.0721923153607337],
+        [0.0193308187155918, 0.1191947797946259, 0.9505321522496605],
+    ]
+)
+"""From sRGB's primaries and its white (0.3127, 0.3290), not rounded to four digits as IEC 61966-2-1 prints it: white
+then is exactly white."""
+
+Space = Literal["linear-srgb", "lab"]
+
+
+def delta_e_2000(first: xr.DataArray, second: xr.DataArray, *, space: Space = "linear-srgb") -> xr.DataArray:
+    """Colour difference ΔE00 (CIEDE2000; CIE 142-2001; Sharma, Wu & Dalal 2005). 1 is about just noticeable.
+
+    Parameters
+    ----------
+    first, second
+        Dimension `channel` of length 3 and any others, which broadcast.
+    space
+        "linear-srgb": linear sRGB, not clipped; white (1, 1, 1) is CIELAB's white. "lab": CIELAB as it is.
+
+    Returns
+    -------
+    ΔE00 ≥ 0, without the dimension `channel`.
+
+    Raises
+    ------
+    InputError
+        No dimension `channel` of length 3, or an unknown space.
+
+    Examples
+    --------
+    >>> grey = xr.DataArray([0.5, 0.5, 0.5], dims="channel")
+    >>> float(delta_e_2000(grey, grey))
+    0.0
+    """
+    check_channels(first)
+    check_channels(second)
+    a, b = xr.broadcast(first.drop_vars("channel", errors="ignore"), second.drop_vars("channel", errors="ignore"))
+    a, b = a.transpose(..., "channel"), b.transpose(..., "channel")
+    if space == "linear-srgb":
+        labs = (_lab(a.to_numpy()), _lab(b.to_numpy()))
+    elif space == "lab":
+        labs = (a.to_numpy(), b.to_numpy())
+    else:
+        raise InputError.of("space", space, 'must be "linear-srgb" or "lab"', "Pick one.")
+    template = a.isel(channel=0, drop=True)
+    difference = template.copy(
+        data=np.asarray(colour_science().difference.delta_E_CIE2000(*labs), dtype=np.float64).reshape(template.shape)
+    )
+    return difference.rename("delta_e_2000").drop_attrs().assign_attrs(units="1")
+
+
+def _lab(linear: FloatArray) -> FloatArray:
+    models = colour_science().models
+    white = models.XYZ_to_xy(SRGB_TO_XYZ.sum(axis=1))
+    return np.asarray(models.XYZ_to_Lab(linear @ SRGB_TO_XYZ.T, white))
