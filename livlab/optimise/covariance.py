@@ -266,5 +266,7 @@ def _second(
         return value(moved)
 
     if i == j:
-        return (at(1, 0) - 2 * centre + at(-1, 0)) / (hi * hi)
-    return (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / (4 * hi * hj)
+        bent: float = at(1, 0) - 2 * centre + at(-1, 0)
+        return bent / (hi * hi)
+    crossed: float = at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)
+    return crossed / (4 * hi * hj)

@@ -215,7 +215,7 @@ def _finite_near(guard: Guard, point: FloatArray, seed: int) -> FloatArray:
     return point
 
 
-def _spread(space: ParameterSpace, count: int, seed: int) -> FloatArray:
+def _spread(space: ParameterSpace, count: int, seed: int) -> list[FloatArray]:
     """Scrambled Sobol points over the box; about the start, normally spread by its unit, where a bound is infinite."""
     from scipy.special import ndtri
     from scipy.stats import qmc
@@ -227,7 +227,8 @@ def _spread(space: ParameterSpace, count: int, seed: int) -> FloatArray:
     low, high = np.where(finite, space.low, 0.0), np.where(finite, space.high, 1.0)
     inside = low + (high - low) * shares
     about = space.start + ndtri(np.clip(shares, 1e-6, 1 - 1e-6))
-    return np.asarray(np.clip(np.where(finite, inside, about), space.low, space.high))
+    points = np.clip(np.where(finite, inside, about), space.low, space.high)
+    return [np.asarray(point, dtype=np.float64) for point in points]
 
 
 def _starting_points(
@@ -238,7 +239,7 @@ def _starting_points(
             raise InputError.of("starts", starts, "must be at least 1", "Ask for one start or more.")
         points = [space.start]
         if starts > 1 and space.free:
-            points += list(_spread(space, starts - 1, seed))
+            points += _spread(space, starts - 1, seed)
         return points, []
     if not starts:
         raise InputError.of("starts", starts, "is empty", "Give at least one mapping of values.")
@@ -349,10 +350,8 @@ def _judge(
     for name, word in status.items():
         if word.startswith("at "):
             notes.append(f"{name} = {values[name]:.6g} sits {word}: the optimum may lie beyond it")
-        elif word.startswith("unchanged"):
-            notes.append(
-                f"{name} did not move from its start {values[name]:.6g}: check that the objective depends on it"
-            )
+        elif name in idle:
+            notes.append(f"{name} = {values[name]:.6g} is as it started: the objective does not depend on it there")
     if guard.failures:
         why = f", the first by {guard.first_error!r}" if guard.first_error else " (no finite number)"
         notes.append(f"{guard.failures} of {guard.count} evaluations failed{why}")
