@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -77,7 +78,7 @@ def goniometer(
     *,
     samples: int = 1_000_000,
     seed: int = 0,
-    variant: str = "llvm",
+    variant: Literal["llvm", "cuda"] = "llvm",
     progress: Callable[[float], None] | None = None,
 ) -> xr.Dataset:
     """BRDF of a flat stack, resolved in azimuth, by random walk.
@@ -123,8 +124,8 @@ def goniometer(
     made = []
     for k, (angle, source) in enumerate(zip(angles, sources, strict=True)):
         told = None if progress is None else _part(progress, k, len(angles))
-        r = walk(stack, source=source, tally=tally, samples=samples, seed=_seed(seed, angle), variant=variant,
-                 progress=told)  # type: ignore[arg-type]  # fmt: skip
+        own = _seed(seed, angle)
+        r = walk(stack, source=source, tally=tally, samples=samples, seed=own, variant=variant, progress=told)
         made.append(
             xr.Dataset(
                 {
