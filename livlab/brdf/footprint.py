@@ -10,7 +10,8 @@ light does not reach has w_k = 0, so the weights of a pixel need not sum to 1.
 """
 
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,8 @@ BYTES_PER_POINT = 400
 """Temporary memory for each point inside a pixel while directions are made."""
 
 
-class Footprint(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Footprint:
     """Points inside the pixels of some samples.
 
     Attributes
@@ -99,15 +101,20 @@ def footprints(
     chosen = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen.astype(np.intp)
     rows, columns, light_of = (samples[name].values[chosen] for name in ("row", "column", "light"))
     # Samples of one light alone (`by_light`) keep the light's number, but their rig holds one light.
-    alone = len(lights) == 1
+    lights = lights * (int(light_of.max(initial=0)) + 1) if len(lights) == 1 else lights
     axis = np.asarray(samples.attrs.get("pole", (0.0, 1.0, 0.0)), dtype=np.float64)
+    # Pixels serve several lights: what the eye sees is worked out once for each.
+    pixels, pixel_of = np.unique(rows.astype(np.int64) * camera.width + columns, return_inverse=True)
+    by_pixel = np.argsort(pixel_of, kind="stable")
     step = max(int(max_bytes // (BYTES_PER_POINT * len(shares))), 1)
-    for k in np.unique(light_of):
-        light = lights[0 if alone else int(k)]
-        mine = np.flatnonzero(light_of == k)
-        for start in range(0, len(mine), step):
-            part = mine[start : start + step]
-            yield _batch(camera, light, sphere, chosen[part], columns[part], rows[part], offsets, shares, axis)
+    for start in range(0, len(pixels), step):
+        part = pixels[start : start + step]
+        seen = _Seen(camera, sphere, part % camera.width, part // camera.width, offsets, shares, axis)
+        first, last = np.searchsorted(pixel_of, (start, start + step), sorter=by_pixel)
+        here = by_pixel[first:last]
+        for k in np.unique(light_of[here]):
+            mine = here[light_of[here] == k]
+            yield seen.under(lights[int(k)], pixel_of[mine] - start, chosen[mine])
 
 
 def footprint(
@@ -143,31 +150,45 @@ def footprint(
     return Footprint(chosen, wi, wo, weight)
 
 
-def _batch(
-    camera: Camera,
-    light: Light,
-    sphere: Sphere,
-    index: IntArray,
-    columns: npt.NDArray[np.integer],
-    rows: npt.NDArray[np.integer],
-    offsets: FloatArray,
-    shares: FloatArray,
-    axis: FloatArray,
-) -> Footprint:
-    def look(column: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        origins, directions = camera.rays(column, row)
-        hits = sphere.meet(origins, directions)
-        towards, scale = light.at(hits.points_mm)
-        cos_i = np.einsum("...i,...i->...", towards, hits.normals)
-        return hits.normals, directions, towards, np.where(hits.hit, scale * np.maximum(cos_i, 0.0), 0.0)
+class _Seen:
+    """What the points inside some pixels see of the sphere: all that does not depend on the light."""
 
-    normals, directions, towards, received = look(columns[:, None] + offsets[:, 0], rows[:, None] + offsets[:, 1])
-    at_centre = look(columns.astype(np.float64), rows.astype(np.float64))[3]
-    weight = shares * received / at_centre[:, None]
-    frames = local_frames(normals, axis)
-    wi = np.einsum("nkij,nkj->nki", frames, towards)
-    wo = np.einsum("nkij,nkj->nki", frames, -directions)
-    # A point of no weight gets directions in which every model is finite.
-    idle = (weight <= 0)[..., None]
-    up = np.array([0.0, 0.0, 1.0])
-    return Footprint(index, np.where(idle, up, wi), np.where(idle, up, wo), weight)
+    def __init__(
+        self,
+        camera: Camera,
+        sphere: Sphere,
+        columns: npt.NDArray[np.integer],
+        rows: npt.NDArray[np.integer],
+        offsets: FloatArray,
+        shares: FloatArray,
+        axis: FloatArray,
+    ) -> None:
+        self.shares = shares
+        self.centres = sphere.meet(*camera.rays(columns, rows))
+        origins, directions = camera.rays(columns[:, None] + offsets[:, 0], rows[:, None] + offsets[:, 1])
+        self.points = sphere.meet(origins, directions)
+        self.frames = local_frames(self.points.normals, axis)
+        self.wo = np.einsum("nkij,nkj->nki", self.frames, -directions)
+
+    def under(self, light: Light, pixels: IntArray, index: IntArray) -> Footprint:
+        """Points inside some of the pixels with one light."""
+        points, normals = self.points.points_mm[pixels], self.points.normals[pixels]
+        towards, scale = light.at(points)
+        at_centre = received(light, self.centres.points_mm[pixels], self.centres.normals[pixels])
+        cos_i = np.einsum("nki,nki->nk", towards, normals)
+        weight = (
+            self.shares * np.where(self.points.hit[pixels], scale * np.maximum(cos_i, 0.0), 0.0) / at_centre[:, None]
+        )
+        wi = np.einsum("nkij,nkj->nki", self.frames[pixels], towards)
+        wo = self.wo[pixels]
+        # A point of no weight gets directions in which every model is finite.
+        idle = weight <= 0
+        if idle.any():
+            wi[idle] = wo[idle] = (0.0, 0.0, 1.0)
+        return Footprint(index, wi, wo, weight)
+
+
+def received(light: Light, points_mm: FloatArray, normals: FloatArray) -> FloatArray:
+    """E cos θ_i over the light's intensity, at points of a surface."""
+    towards, scale = light.at(points_mm)
+    return np.asarray(scale * np.maximum(np.einsum("...i,...i->...", towards, normals), 0.0))

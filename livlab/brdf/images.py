@@ -81,10 +81,9 @@ class Frames:
         self.scale = _positive("exposure", exposure, (count,))[:, None] * _positive_white(
             white, count, self.channel_count
         )
-        self.variance: xr.DataArray | VarianceModel | None = variance
-        if isinstance(variance, xr.DataArray):
-            self.variance = _ordered("variance", variance)
-        if isinstance(self.variance, xr.DataArray) and self.variance.shape != self.images.shape:
+        self.noise_model: VarianceModel | None = None if isinstance(variance, xr.DataArray) else variance
+        self.variance = _ordered("variance", variance) if isinstance(variance, xr.DataArray) else None
+        if self.variance is not None and self.variance.shape != self.images.shape:
             raise InputError.of(
                 "variance", self.variance.shape, f"must have the images' shape {self.images.shape}", "Give one a value."
             )
@@ -92,6 +91,11 @@ class Frames:
         self.saturation = np.inf if saturation is None else float(saturation)
         if saturation is None and self.images.dtype.kind == "u":
             self.saturation = float(np.iinfo(self.images.dtype).max)
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the variance of the values is known."""
+        return self.variance is not None or self.noise_model is not None
 
     def patch(self, k: int, rows: npt.NDArray[np.int32], columns: npt.NDArray[np.int32]) -> Patch:
         """Radiance at some pixels of image k; only the box around them is read."""
@@ -102,7 +106,7 @@ class Frames:
         finite = np.asarray(np.isfinite(value).all(axis=-1))
         saturated = np.asarray((value >= self.saturation).any(axis=-1)) & finite
         noise: FloatArray | None = None
-        if isinstance(self.variance, xr.DataArray):
+        if self.variance is not None:
             noise = self.variance.isel(light=k, row=tall, column=wide).values[inside].astype(np.float64)
             bad = ~(noise >= 0).all(axis=-1) & finite
             if bad.any():
@@ -112,8 +116,8 @@ class Frames:
                     "must be >= 0 wherever the image is usable",
                     "Set the image to NaN where its variance is not known.",
                 )
-        elif callable(self.variance):
-            noise = self.variance(np.where(np.isfinite(value), value, 0.0))
+        elif self.noise_model is not None:
+            noise = self.noise_model(np.where(np.isfinite(value), value, 0.0))
         if noise is not None:
             noise = noise / self.scale[k] ** 2
         if self.mask is None:

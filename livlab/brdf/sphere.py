@@ -183,7 +183,7 @@ class Extraction:
         """All lights in one data set."""
         capacity = sum(len(self._lit(light)[0]) for light in self.lights)
         channels = self.frames.channel_count
-        words = 3 + 3 + channels * (1 if self.frames.variance is None else 2) + 5 + 3 + 2
+        words = 3 + 3 + channels * (1 + self.frames.noisy) + 5 + 3 + 2
         needed = 8 * words * capacity + BYTES_PER_PIXEL * len(self.view.rows)
         if needed > self.max_bytes:
             raise InputError.of(
