@@ -232,7 +232,7 @@ def _step(
     value: Callable[[FloatArray], float], x: FloatArray, k: int, space: ParameterSpace, centre: float, one_sigma: float
 ) -> float:
     """A step that raises the objective by about a tenth of one_sigma, within the room that the bounds leave."""
-    room = 0.99 * min(x[k] - space.low[k], space.high[k] - x[k], 1e6)
+    room = 0.99 * float(min(x[k] - space.low[k], space.high[k] - x[k], 1e6))
     step = min(1e-3, room)
     for _ in range(12):
         rise = 0.0

@@ -113,7 +113,7 @@ def minimise(
         chosen = choose(algorithm, free=free, gradient=gradient is not None, boxed=boxed)
     rows: list[dict[str, Any]] = []
     for number, point in enumerate(points):
-        if guard.interrupted or (number and (guard.count >= limit or guard.seconds() >= max_seconds)):
+        if guard.interrupted or guard.halted or (number and (guard.count >= limit or guard.seconds() >= max_seconds)):
             break
         rows.append(_one_start(guard, chosen, number, point, len(points), seed, value_tolerance, parameter_tolerance))
     return _finish(guard, space, points, rows, chosen, notes, seed, one_sigma, warn)
@@ -138,7 +138,7 @@ def _one_start(
     stages = [s for s in chosen if number == 0 or not s.is_global] or list(chosen)
     found, value = x, guard.local
     for k, stage in enumerate(stages):
-        if guard.interrupted:
+        if guard.interrupted or guard.halted:
             break
         left = guard.max_evaluations - guard.count
         share = GLOBAL_SHARE if stage.is_global and k + 1 < len(stages) else 1.0 / (of - number)
@@ -278,12 +278,12 @@ def _finish(
     if guard.best_x is None:
         if guard.interrupted:
             raise Interrupted("The fit was stopped before any point had a finite value.", remedy="Run it again.")
-        why = f"; the first failure: {guard.first_error!r}" if guard.first_error else ""
+        why = f"The first failure: {guard.first_error!r}. " if guard.first_error else ""
         raise InputError.of(
             "objective",
-            f"no finite value in {guard.count} evaluations{why}",
+            f"no finite value in {guard.count} evaluations",
             "must be finite somewhere within the bounds",
-            "Check the objective at the start, or move the bounds.",
+            f"{why}Check the objective at the start, or move the bounds.",
         ) from guard.first_error
     best = guard.best_x
     winner = min(range(len(rows)), key=lambda k: float(rows[k]["value"]))

@@ -51,6 +51,7 @@ class Guard:
         self.first_error: BaseException | None = None
         self.interrupted = False
         self.reason: str | None = None
+        self.halted: str | None = None
         self.opt: Any = None
         self.last: tuple[FloatArray, float] | None = None
         self._rows: list[tuple[int, str, float, float, float]] = []
@@ -64,7 +65,7 @@ class Guard:
         """A new stage of a start: its own best, and its own limit of evaluations."""
         self.start, self.stage, self.stage_limit = start, stage, limit
         self.local_x, self.local = None, math.inf
-        self.reason = None
+        self.reason = self.halted
 
     def penalty(self) -> float:
         """The finite number that stands for a failure."""
@@ -101,7 +102,8 @@ class Guard:
         self._rows.append((self.start, self.stage, self.seconds(), value, self.best))
         self._points.append(tuple(values.values()))
         if self.callback is not None and self.callback(self.count, values, value) is False:
-            self.stop("the callback asked for it")
+            self.halted = "the callback asked for it"
+            self.stop(self.halted)
         return value
 
     def probe(self, x: FloatArray) -> float:
