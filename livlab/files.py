@@ -47,6 +47,7 @@ def whole(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     with told_plainly(path):
         try:
+            temporary.touch()  # a folder that is missing or forbidden is told by the system, not by the library
             yield temporary
             with temporary.open("rb+") as stream:
                 os.fsync(stream.fileno())

@@ -82,7 +82,10 @@ def write_exr(
             raise InputError.of("metadata", name, "is a name that the header already has", "Take another name.")
         header[name] = value if isinstance(value, str) else float(value)
     with whole(path) as temporary:
-        openexr.File(header, channels).write(str(temporary))
+        try:
+            openexr.File(header, channels).write(str(temporary))
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
     return path
 
 
