@@ -80,7 +80,7 @@ class SphereRig:
         Parameters
         ----------
         lights
-            Default: the thesis's number, 8, on an arc from 10° to 170° at 10 radii.
+            Default: the thesis's number, 8, on an arc from 10° to 130° at 10 radii.
         camera_radii
             Distance of the eye from the centre in radii, > 1.
 
@@ -171,7 +171,7 @@ def arc(
     count: int,
     *,
     first_deg: float = 10.0,
-    last_deg: float = 170.0,
+    last_deg: float = 130.0,
     azimuth_deg: float = 0.0,
     distance_radii: float = 10.0,
     radius_mm: float = 25.0,
