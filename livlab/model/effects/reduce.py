@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from livlab.model.tissue.phase import Isotropic, Tabulated, mixture
+from livlab.model.tissue.phase_lazy import settled
 from livlab.model.tissue.stack import Interaction, OpticalStack, Phase, PlaneLayer
 from livlab.units import FloatArray
 
@@ -121,6 +122,7 @@ def widened_phase(phase: Phase, angle_deg: float) -> tuple[Phase, float]:
     (0.156, 0.05)
     """
     edge = 2.0 * math.sin(0.5 * math.radians(angle_deg)) ** 2
+    phase = settled(phase)
     if isinstance(phase, Tabulated):
         points = phase.complement[phase.complement > edge * (1.0 + 1e-12)]
         tail = np.concatenate([[edge], points])

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
-from livlab.model.tissue.cylinder import cylinder_mean, cylinder_phase
+from livlab.model.tissue.cylinder import cylinder_mean
 from livlab.model.tissue.elements import Fibre
 from livlab.model.tissue.mie import mie, mie_phase, size_parameter
 from livlab.model.tissue.phase import Rayleigh
+from livlab.model.tissue.phase_lazy import lazy_cylinders
 from livlab.model.tissue.rayleigh import SIZE_LIMIT, rayleigh_efficiency
 from livlab.model.tissue.setting import Setting, scatterer
 from livlab.model.tissue.spectra import refractive_index
@@ -82,10 +81,7 @@ def _phases(law: str, m: bytes, x: bytes) -> tuple[Phase, ...]:
         return (Rayleigh(),) * len(index)
     if law == "sphere":
         return tuple(mie_phase(complex(a), float(b)) for a, b in zip(index, size, strict=True))
-
-    # A cylinder's phase function takes near a tenth of a second, most of it in code that lets other threads run.
-    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
-        return tuple(pool.map(cylinder_phase, index.tolist(), size.tolist()))
+    return lazy_cylinders(index, size)
 
 
 def _warn_about_fibre(name: str, law: str, q: FloatArray, x: FloatArray, setting: Setting) -> None:

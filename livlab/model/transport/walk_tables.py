@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh, kernel_table
+from livlab.model.tissue.phase_lazy import prepare
 from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, Phase, PlaneLayer, Redirect
 from livlab.units import FloatArray
 
@@ -142,6 +143,7 @@ def tables(stack: OpticalStack, estimator: Estimator) -> Tables:
     g = np.zeros((layers, count, width))
     offset = np.zeros((layers, count, width), dtype=np.int64)
     store = _Store()
+    prepare(p for _, ways in made for way in ways for p, s in zip(way.phases, way.survive, strict=True) if s > 0)
     for k, (rates, ways) in enumerate(made):
         for e, rate in enumerate(rates):
             with np.errstate(divide="ignore"):
