@@ -40,13 +40,8 @@ def rays(camera: Camera, points: ArrayLike) -> FloatArray:
         xy = (uv - middle) / scale
         square = np.sum(xy**2, axis=1)
         return np.column_stack([2 * xy, 1 - square]) / (1 + square)[:, None]
-    import cv2
-
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    lens = camera.distortion if camera.distortion.size else None
-    xy = cv2.undistortPoints(uv.reshape(-1, 1, 2), camera.matrix, lens, criteria=stop).reshape(-1, 2)
-    d = np.column_stack([xy, np.ones(len(xy))])
-    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+    _, towards = camera.rays(uv[:, 0], uv[:, 1])
+    return np.asarray(towards @ camera.rotation.T)
 
 
 def pixels(camera: Camera, directions: FloatArray) -> FloatArray:
@@ -54,11 +49,7 @@ def pixels(camera: Camera, directions: FloatArray) -> FloatArray:
     if camera.orthographic:
         scale, middle = _lift(camera)
         return np.asarray(middle + scale * directions[:, :2] / (1 + directions[:, 2:]))
-    import cv2
-
-    lens = camera.distortion if camera.distortion.size else np.zeros(5)
-    uv, _ = cv2.projectPoints(directions.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), camera.matrix, lens)
-    return np.asarray(uv.reshape(-1, 2), dtype=np.float64)
+    return camera.project((directions - camera.translation) @ camera.rotation)
 
 
 def _lift(camera: Camera) -> tuple[float, FloatArray]:

@@ -67,10 +67,13 @@ def _trace(
         points = _one_sided(points, contrast, noise)
         if np.isfinite(points[:, 0]).sum() < max(8, _LEAST_SUPPORT * count / 2):
             return None
-        cone = fit_cone(points, camera, tolerance_px=max(0.75, 0.1 * reach))
+        try:
+            cone = fit_cone(points, camera, tolerance_px=max(0.75, 0.1 * reach))
+            path, normals = cone_outline(camera, cone.axis, cone.half_angle, count)
+        except InputError:  # points on no cone, or where the lens cannot be inverted: not the sphere
+            return None
         if not 0 < cone.half_angle < 1.2:
             return None
-        path, normals = cone_outline(camera, cone.axis, cone.half_angle, count)
         if not np.isfinite(path).all():
             return None
     assert cone is not None
