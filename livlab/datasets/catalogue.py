@@ -11,6 +11,7 @@ import re
 import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -57,6 +58,7 @@ class Check:
         return not self.problem
 
 
+@lru_cache(maxsize=1)
 def builtin_root() -> Path:
     """Folder of livlab's own datasets: inside the installed package, or beside it in a source tree.
 

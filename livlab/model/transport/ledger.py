@@ -139,7 +139,7 @@ def record(
     d = device(variant)
     stack = stack.at(np.argsort(stack.wavelength_nm, kind="stable").tolist())
     served = Coefficients.of(stack)
-    sets = _joined(served, [Coefficients.of(x) for x in also])
+    sets = Coefficients.joined([served, *(Coefficients.of(x).fitted(served.thickness_mm) for x in also)])
     lateral = half_width_mm is not None or bool(tally.radius_edges)
     if lateral and any(i.redirect == "cos" for x in stack.layers for i in x.interactions):
         raise InputError.of("redirect", "cos", "has mean zero: no weight for a ledger", "Use walk for such a stack.")
@@ -280,18 +280,6 @@ def _mean_paths(entries: Entries, layers: int) -> FloatArray:
     weight = np.exp(entries.log_weight.astype(np.float64))
     total = float(weight.sum())
     return np.asarray(weight @ entries.features[:, :layers].astype(np.float64) / max(total, 1e-300))
-
-
-def _joined(served: Coefficients, also: Sequence[Coefficients]) -> Coefficients:
-    parts = [served, *(x.fitted(served.thickness_mm) for x in also)]
-    return Coefficients(
-        np.concatenate([x.wavelength_nm for x in parts]),
-        served.thickness_mm,
-        np.concatenate([x.absorption for x in parts]),
-        np.concatenate([x.scattering for x in parts]),
-        np.concatenate([x.anisotropy for x in parts]),
-        np.concatenate([x.index for x in parts]),
-    )
 
 
 def _check(

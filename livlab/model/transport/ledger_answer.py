@@ -336,6 +336,7 @@ class Ledger:
         *,
         absorption_spread: float = 0.2,
         scattering_spread: float = 0.0,
+        also: Sequence[OpticalStack] = (),
     ) -> Ledger:
         """A small ledger with nearly the same answers.
 
@@ -347,6 +348,8 @@ class Ledger:
         absorption_spread, scattering_spread
             The domain is what is served, and that with each layer's coefficient changed by ± this share; answers
             beyond it are marked as not valid. A spread of scattering in layers with many scatterings costs rows.
+        also
+            Further stacks that belong to the domain, such as the corners of a fit's bounds.
 
         Returns
         -------
@@ -357,7 +360,10 @@ class Ledger:
         InputError
             An argument out of bounds, or a ledger that is compressed already.
         """
-        return compress_ledger(self, tolerance, absorption_spread, scattering_spread)
+        from livlab.model.transport.ledger_tables import fitted
+
+        sets = [fitted(self, stack) for stack in also]
+        return compress_ledger(self, tolerance, absorption_spread, scattering_spread, sets)
 
     def save(self, path: Path | str) -> None:
         """Write a NetCDF file that `load` reads.

@@ -8,6 +8,7 @@ halved where most is lost, until all losses together stay below the tolerance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -215,7 +216,11 @@ def _split(z: FloatArray, heavy: FloatArray, budget: float) -> NDArray[np.int64]
 
 
 def compress_ledger(
-    ledger: Ledger, tolerance: float | None, absorption_spread: float, scattering_spread: float
+    ledger: Ledger,
+    tolerance: float | None,
+    absorption_spread: float,
+    scattering_spread: float,
+    also: Sequence[Coefficients] = (),
 ) -> Ledger:
     """A ledger binned until the error measured over its domain is within the tolerance: `Ledger.compressed`."""
     for name, value in (("absorption_spread", absorption_spread), ("scattering_spread", scattering_spread)):
@@ -224,7 +229,7 @@ def compress_ledger(
     if tolerance is None:
         worst = ledger.answer(ledger.served, Detector.total()).standard_error.max()
         tolerance = max(0.1 * float(worst), 1e-9)
-    sets = widened(ledger.served, absorption_spread, scattering_spread)
+    sets = Coefficients.joined([widened(ledger.served, absorption_spread, scattering_spread), *also])
     c, theta = ledger.theta(sets)
     low, high = (np.stack([f(x.theta[:, np.abs(c[:, k]) > SAYS]) for k, x in enumerate(theta)]) for f in _RANGE)
     some = sets.take(np.arange(0, len(sets), max(1, len(sets) // _CHECKED)))

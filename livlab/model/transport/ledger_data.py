@@ -84,6 +84,19 @@ class Coefficients:
     def __len__(self) -> int:
         return len(self.wavelength_nm)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Coefficients]) -> Coefficients:
+        """Settings of the same layers, one after the other."""
+        first = parts[0]
+        return cls(
+            np.concatenate([x.wavelength_nm for x in parts]),
+            first.thickness_mm,
+            np.concatenate([x.absorption for x in parts]),
+            np.concatenate([x.scattering for x in parts]),
+            np.concatenate([x.anisotropy for x in parts]),
+            np.concatenate([x.index for x in parts]),
+        )
+
     def take(self, rows: Sequence[int] | NDArray[np.int64]) -> Coefficients:
         """Some of the settings."""
         ix = np.asarray(rows)
