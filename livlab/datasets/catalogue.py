@@ -58,7 +58,6 @@ class Check:
         return not self.problem
 
 
-@lru_cache(maxsize=1)
 def builtin_root() -> Path:
     """Folder of livlab's own datasets: inside the installed package, or beside it in a source tree.
 
@@ -67,7 +66,12 @@ def builtin_root() -> Path:
     EnvironmentProblem
         If neither is there.
     """
-    package = Path(__file__).resolve().parents[1]
+    return _root_beside(__file__)
+
+
+@lru_cache(maxsize=4)
+def _root_beside(module: str) -> Path:
+    package = Path(module).resolve().parents[1]
     for candidate in (package / "_data" / "datasets", package.parent / "datasets"):
         if (candidate / "unavailable.toml").is_file():
             return candidate
