@@ -21,6 +21,11 @@ from livlab.model.tissue.readings import READINGS, Reading, ReadingName
 
 Route = Literal["thesis", "stochastic", "cie"]
 BaselineName = Literal["lambert", "blinn-phong", "ashikhmin-shirley", "dipole"]
+Observer = Literal["cie-1931-2", "cie-1964-10", "cie-2015-2", "cie-2015-10"]
+Illuminant = Literal[
+    "A", "D50", "D65", "E", "FL2", "FL7", "FL11", "LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5", "LED-BH1",
+    "LED-RGB1", "LED-V1", "xenon",
+]  # fmt: skip
 BASELINES: tuple[BaselineName, ...] = ("lambert", "blinn-phong", "ashikhmin-shirley", "dipole")
 
 LARGEST_SUMS_BYTES = 3 << 30
@@ -43,10 +48,8 @@ class Colour(Section):
         default_factory=lambda: Wavelengths.model_validate({"start_nm": 400.0, "stop_nm": 720.0, "step_nm": 20.0}),
         description="Wavelengths of the cie route.",
     )
-    illuminant: str = Field("D65", min_length=1, description="Illuminant of the cie route; it is the white too.")
-    observer: Literal["CIE 1931 2 Degree Standard Observer", "CIE 2015 2 Degree Standard Observer"] = Field(
-        "CIE 1931 2 Degree Standard Observer", description="Observer of the cie route."
-    )
+    illuminant: Illuminant = Field("D65", description="Illuminant of the cie route; a white diffuser comes out white.")
+    observer: Observer = Field("cie-1931-2", description="Observer of the cie route.")
     exposure: float = Field(
         1.0,
         gt=0.0,

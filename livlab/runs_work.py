@@ -85,6 +85,10 @@ class Run:
         write_whole(self.folder / name, content)
         self.written[name] = sha256(self.folder / name)
 
+    def keep(self, name: str) -> None:
+        """Count a file of the folder, written whole by another, as part of the result."""
+        self.written[name] = sha256(self.folder / name)
+
     def write_table(self, name: str, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
         """Write a CSV table."""
         self.write(name, csv_text(columns, rows))

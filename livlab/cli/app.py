@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from livlab import __version__
-from livlab.cli import cost, data, doctor, fractions, plan, run, stress
+from livlab.cli import cost, data, doctor, fractions, gallery, plan, run, stress
 from livlab.errors import LivlabError
 
 _REFUSED_BY_SYSTEM = {
@@ -36,6 +36,7 @@ plan.register(app)
 cost.register(app)
 fractions.register(app)
 stress.register(app)
+gallery.register(app)
 
 
 def _show_version(wanted: bool) -> None:

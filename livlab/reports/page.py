@@ -36,7 +36,9 @@ from livlab.runs_files import told_plainly, write_whole
 ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
 BODIES = {
+    "optics": "livlab.reports.optics:sections",
     "spectral": "livlab.reports.page:spectral_sections",
+    "picture": "livlab.reports.picture:picture_sections",
 }
 """What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> list[Section]`,
 as "module:function", imported on use."""
@@ -157,8 +159,8 @@ def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[Section]
         _curves(run, pictures),
         _coefficients(run, pictures),
         _budget(run, pictures),
-        _tissue(run),
-        _readings(run),
+        tissue_section(run),
+        readings_section(run),
         simulated(run.table("plan")),
     ]
 
@@ -250,7 +252,8 @@ def _budget(run: RunData, pictures: figures.Pictures) -> Section:
     return section
 
 
-def _tissue(run: RunData) -> Section:
+def tissue_section(run: RunData) -> Section:
+    """The tissue's parameters as each reading takes them."""
     section = Section("tissue", "The tissue")
     table = run.table("tissue")
     if len(table):
@@ -264,7 +267,8 @@ def _tissue(run: RunData) -> Section:
     return section
 
 
-def _readings(run: RunData) -> Section:
+def readings_section(run: RunData) -> Section:
+    """Every place where the readings differ."""
     section = Section("readings", "The readings, side by side")
     table = run.table("readings")
     if len(table):

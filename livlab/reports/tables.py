@@ -87,6 +87,27 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Image:
+    """A picture of pixels: its source (a data URI or a relative path), what a screen reader says, its caption."""
+
+    source: str
+    alt: str
+    caption: str
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Images:
+    """Pictures side by side, as many in a row as there is room for; `large` ones have a row each."""
+
+    items: tuple[Image, ...]
+    caption: str = ""
+    large: bool = False
+    kind: str = "images"
+
+
+@dataclass(frozen=True)
 class Section:
     """A section of the page."""
 
