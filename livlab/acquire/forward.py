@@ -1,0 +1,188 @@
+"""A spectrum as a function of tissue parameters: one recorded ledger answers for every trial of a fit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from livlab.acquire.instruments import Instrument
+from livlab.acquire.readout import readout
+from livlab.errors import InputError
+from livlab.model.tissue.optics import optical_stack
+from livlab.model.tissue.readings import Reading
+from livlab.model.tissue.stack import OpticalStack
+from livlab.model.tissue.tissue import Tissue, override
+from livlab.model.transport.device import Variant
+from livlab.units import FloatArray
+
+if TYPE_CHECKING:
+    from livlab.model.transport.geometry import Readout
+    from livlab.model.transport.ledger import Detector, Ledger
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What an instrument reads at (W,) wavelengths.
+
+    Attributes
+    ----------
+    value, standard_error
+        (W,) the reading and its Monte Carlo error.
+    valid
+        (W,) whether the ledger can answer there.
+    slopes
+        (W,) derivative by each parameter, by name; empty unless asked for.
+    """
+
+    value: FloatArray
+    standard_error: FloatArray
+    valid: NDArray[np.bool_]
+    slopes: Mapping[str, FloatArray]
+
+
+class LedgerForward:
+    """The reading of an instrument on a tissue whose values, by path, are the parameters.
+
+    Call `record` before the first `answer`. The draws stay the same until the next `record` (common random numbers),
+    so that an answer is a smooth function of the parameters.
+
+    Parameters
+    ----------
+    tissue, reading
+        The tissue, and how it is read.
+    wavelength_nm
+        (W,) rising.
+    instrument
+        What looks at it.
+    names
+        Paths of the parameters, e.g. layers.parenchyma.elements.blood.fraction.
+    standard_error
+        Of the total reflectance at the recorded parameters.
+    variant
+        Where it walks.
+
+    Raises
+    ------
+    ConfigError
+        A path that leads nowhere.
+    """
+
+    def __init__(
+        self,
+        tissue: Tissue,
+        reading: Reading,
+        wavelength_nm: FloatArray,
+        instrument: Instrument,
+        names: Sequence[str],
+        *,
+        standard_error: float = 1e-3,
+        variant: Variant = "llvm",
+    ) -> None:
+        self.tissue, self.reading, self.instrument = tissue, reading, instrument
+        self.wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
+        self.names = tuple(names)
+        self.standard_error, self.variant = standard_error, variant
+        self.ledger: Ledger | None = None
+        self.readout: Readout | None = None
+        self.recordings: list[dict[str, object]] = []
+
+    def stack(self, values: Mapping[str, float]) -> OpticalStack:
+        """The optical stack at given values of the parameters."""
+        changes = {name: float(values[name]) for name in self.names}
+        return optical_stack(override(self.tissue, changes, by="fit"), self.reading, self.wavelength_nm)
+
+    def record(
+        self,
+        centre: Mapping[str, float],
+        others: Sequence[Mapping[str, float]] = (),
+        *,
+        seed: int = 1,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        """Walk anew about a centre, so that `others` are served too.
+
+        Raises
+        ------
+        InputError
+            Values at which the tissue does not hold together, or that one ledger cannot serve.
+        """
+        from livlab.model.transport.ledger import record
+
+        started = time.perf_counter()
+        stack = self.stack(centre)
+        self.readout = readout(self.instrument, stack.n_above)
+        self.ledger = record(
+            stack,
+            standard_error=self.standard_error,
+            seed=seed,
+            source=self.readout.source,
+            tally=self.readout.tally,
+            half_width_mm=self.readout.half_width_mm,
+            also=[self.stack(other) for other in others],
+            variant=self.variant,
+            progress=progress,
+        )
+        self.recordings.append(
+            {
+                "seed": seed,
+                "photons": self.ledger.photons,
+                "rows": len(self.ledger),
+                "anchors_nm": " ".join(f"{x:g}" for x in self.ledger.anchors.wavelength_nm),
+                "interpolation_bias": float(self.ledger.about["interpolation_bias"]),
+                "seconds": time.perf_counter() - started,
+            }
+        )
+
+    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Response:
+        """The reading at given values.
+
+        Raises
+        ------
+        InputError
+            Values at which the tissue does not hold together, or nothing recorded yet.
+        """
+        from livlab.model.transport.ledger_plan import specular
+        from livlab.model.transport.ledger_tables import fitted
+
+        if self.ledger is None or self.readout is None:
+            raise InputError.of("ledger", None, "nothing is recorded yet", "Call record first.")
+        size = len(self.wavelength_nm)
+        value, variance, valid = np.zeros(size), np.zeros(size), np.ones(size, dtype=bool)
+        slopes = {name: np.zeros(size) for name in self.names} if gradient else {}
+        at = {name: float(values[name]) for name in self.names}
+        sets = fitted(self.ledger, self.stack(at))
+        for detector, weight in self._detectors():
+            if gradient:
+                found = self.ledger.gradient(self.stack, at, detector=detector)
+                some, error, good = (found[k].to_numpy() for k in ("value", "value_se", "valid"))
+                for name in self.names:
+                    slopes[name] += weight * found["gradient"].sel(parameter=name).to_numpy()
+            else:
+                got = self.ledger.answer(sets, detector)
+                some, error, good = got.value, got.standard_error, got.valid
+            value += weight * some
+            variance += (weight * error) ** 2
+            valid &= good
+        if self.readout.specular_weight:
+            value += self.readout.specular_weight * specular(sets.index, self.readout.source)
+        return Response(value, np.sqrt(variance), valid, slopes)
+
+    def _detectors(self) -> list[tuple[Detector, float]]:
+        """What of the light that leaves counts, and how much."""
+        from itertools import pairwise
+
+        from livlab.model.transport.ledger import Detector
+
+        assert self.readout is not None
+        tally, weights = self.readout.tally, self.readout.weights
+        found = []
+        for t, theta in enumerate(pairwise(tally.theta)):
+            for r, radius in enumerate(pairwise(tally.radius)):
+                if t < weights.shape[0] and r < weights.shape[1] and weights[t, r]:
+                    found.append((Detector("up", theta, radius), float(weights[t, r])))
+        return found
