@@ -1,0 +1,218 @@
+"""What a BRDF experiment's report shows: the spheres, where their samples lie, lobes, fits, and the cuts compared."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import pandas as pd
+
+from livlab.reports import brdf_figures as drawn
+from livlab.reports.figures import Pictures
+from livlab.reports.folder import RunData
+from livlab.reports.picture import png_size
+from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
+
+PERCENT = ("relative_rms", "weighted_rms", "percentile_99", "worst", "coverage")
+
+
+def brdf_sections(run: RunData, pictures: Pictures) -> list[Section]:
+    """The sections of a BRDF run between its claims and its provenance."""
+    if run.config.get("tissue") is None:
+        return [_spheres(run), _samples(run, pictures), _lobes(run, pictures), _fits(run)]
+    from livlab.reports.page import readings_section, tissue_section
+
+    return [
+        _spheres(run),
+        _cuts(run, pictures),
+        _liver_lobes(run, pictures),
+        _samples(run, pictures),
+        _fits(run),
+        _radius(run, pictures),
+        tissue_section(run),
+        readings_section(run),
+    ]
+
+
+def _spheres(run: RunData) -> Section:
+    section = Section("spheres", "The spheres")
+    rig = run.config.get("rig", {})
+    lights = rig.get("lights", {})
+    count = len(lights.get("list_deg", [])) or lights.get("count", 8)
+    distance = lights.get("distance_radii", 10.0)
+    where = "far away" if distance == "infinite" else f"at {number(distance)} radii"
+    section.content.append(
+        Text(
+            f"{count} lights ({lights.get('layout', 'arc')}) {where}, one picture each; a {rig.get('projection')} "
+            f"camera at {number(rig.get('camera_radii'))} radii; the outline has a radius of "
+            f"{number(rig.get('radius_px'))} pixels, the sphere of {number(rig.get('radius_mm'))} mm."
+        )
+    )
+    items = []
+    for row in run.table("pictures").to_dict("records"):
+        path = run.path / str(row["png"])
+        if not path.is_file():
+            continue
+        subject = str(row.get("material") or row.get("reading"))
+        source = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+        caption = f"{subject}, exposure × {number(float(row['exposure']), 3)}"
+        items.append(Image(source, f"{subject}: the sphere under each light", caption, *png_size(path)))
+    if items:
+        section.content.append(Images(tuple(items), large=len(items) == 1))
+    return section
+
+
+def _samples(run: RunData, pictures: Pictures) -> Section:
+    section = Section("samples", "The samples")
+    table = run.table("samples")
+    if len(table):
+        shown = table.copy()
+        for name in PERCENT:
+            if name in shown:
+                shown[name] = [f"{100 * x:.3g} %" if pd.notna(x) else "–" for x in shown[name]]
+        section.content.append(
+            from_frame(
+                shown,
+                "One sample for each light and pixel that sees the sphere within the largest angle. Relative rms: of "
+                "f / f_true − 1. Weighted: cosine-weighted difference over the cosine-weighted truth. Coverage: share "
+                "of the reachable cells of 2° × 2° × 4° in half-angle coordinates that hold a sample.",
+                titles={"percentile_99": "99th percentile"},
+            )
+        )
+    if run.result is not None and "cell_error" in run.result:
+        dim = "material" if "material" in run.result.dims else "reading"
+        names = [str(x) for x in run.result[dim].values]
+        section.content.append(
+            pictures.add(
+                "half-angles",
+                drawn.half_angle_maps(run.result, names, dim),
+                "Where the samples lie in half-angle coordinates, over all azimuths, and their rms relative error "
+                "there. Blank: no sample.",
+            )
+        )
+    poses = run.table("poses")
+    if len(poses):
+        section.content.append(
+            from_frame(
+                poses,
+                "The sphere as its outline frame shows it, against where it was put.",
+                only=["material", "centre_off_px", "radius_off_px", "residual_px"],
+                titles={"centre_off_px": "centre off [px]", "radius_off_px": "radius off [px]",
+                        "residual_px": "residual of the outline [px]"},
+                folded="The pose from the outline",
+            )
+        )  # fmt: skip
+    return section
+
+
+def _lobes(run: RunData, pictures: Pictures) -> Section:
+    section = Section("lobes", "Lobes in the plane of incidence")
+    if run.result is None or "measured" not in run.result:
+        return section
+    for k, name in enumerate(str(m) for m in run.result["material"].values):
+        section.content.append(
+            pictures.add(
+                f"lobes-{k + 1}",
+                drawn.lobes(run.result.isel(material=k)),
+                f"{name}: means of the samples within 1° of each incidence and 2° of its plane, in bins of 2°; minus: "
+                "on the light's side. Lines: the material's own values and the fit at the same samples.",
+            )
+        )
+    return section
+
+
+def _fits(run: RunData) -> Section:
+    section = Section("fits", "The fits")
+    table = run.table("fits")
+    if not len(table):
+        return section
+    section.content.append(
+        from_frame(
+            _spelled(table),
+            "Parameters with 95 % intervals; the loss is stated since it moves a fitted parameter. Relative error: "
+            "against the material's own parameter.",
+        )
+    )
+    warnings = table["warning"].dropna().unique() if "warning" in table else []
+    for text in warnings:
+        section.content.append(Text(str(text)))
+    return section
+
+
+def _spelled(table: pd.DataFrame) -> pd.DataFrame:
+    """Fit rows with value and interval in one cell."""
+    shown = table.drop(columns=[c for c in ("warning", "low", "high") if c in table])
+    shown["95 % interval"] = [
+        f"{number(a)} … {number(b)}" if pd.notna(a) and pd.notna(b) else "–"
+        for a, b in zip(table["low"], table["high"], strict=True)
+    ]
+    if "relative_error" in shown:
+        shown["relative_error"] = [f"{100 * x:+.3f} %" if pd.notna(x) else "–" for x in shown["relative_error"]]
+    return shown.dropna(axis="columns", how="all")
+
+
+def _cuts(run: RunData, pictures: Pictures) -> Section:
+    scan = dict(run.config.get("scan", {}))
+    collinear = scan.get("kind") == "collinear"
+    title = "Light and camera together" if collinear else f"Light at {number(scan.get('incidence_deg'))}°"
+    section = Section("cuts", title)
+    if run.result is None or "cut_sphere" not in run.result:
+        return section
+    section.content.append(
+        pictures.add(
+            "cuts",
+            drawn.cuts(run.result, str(scan.get("kind"))),
+            "The BRDF read from the sphere's pictures, and of a flat sample of the same tissue in a virtual "
+            "goniometer, each with ±2 standard errors; the Nunes 2017 form (Lambert and an isotropic "
+            "Ashikhmin–Shirley lobe) fitted to the sphere's samples. The mirror reflection of the smooth surface is a "
+            "delta, which no sample sees: it is in none of the three.",
+        )
+    )
+    table = run.table("comparison")
+    if len(table):
+        section.content.append(from_frame(_errors(table), "The curves compared, over the angles shown."))
+    values = run.table("cuts")
+    if len(values):
+        section.content.append(from_frame(values, "Every point of the curves.", folded="The numbers"))
+    return section
+
+
+def _errors(table: pd.DataFrame) -> pd.DataFrame:
+    shown = table.copy()
+    for name in [c for c in table.columns if f"{c}_se" in table.columns]:
+        shown[name] = [with_error(a, b) for a, b in zip(table[name], table[f"{name}_se"], strict=True)]
+        shown = shown.drop(columns=f"{name}_se")
+    return shown
+
+
+def _liver_lobes(run: RunData, pictures: Pictures) -> Section:
+    section = Section("lobes", "Lobes in the plane of incidence")
+    result: Any = run.result
+    if result is None or "flat_lobes" not in result:
+        return section
+    for w, nm in enumerate(result["wavelength"].to_numpy()):
+        section.content.append(
+            pictures.add(
+                f"lobes-{w + 1}",
+                drawn.liver_lobes(result, w),
+                f"{nm:g} nm: the flat sample (lines) and the sphere (marks) in the plane of incidence, 1/sr; right: "
+                "away from the light.",
+            )
+        )
+    return section
+
+
+def _radius(run: RunData, pictures: Pictures) -> Section:
+    section = Section("radius", "How large a sphere stands for a flat sample")
+    table = run.table("radii")
+    if len(table):
+        section.content.append(
+            pictures.add(
+                "radii",
+                drawn.radii(table),
+                "Mean BRDF of the sphere's samples over the flat sample's at the same angles, ±2 standard errors: "
+                "light that would come out of a flat sample far from where it went in leaves a small sphere elsewhere.",
+            )
+        )
+        section.content.append(from_frame(_errors(table), "The ratio at each radius.", folded="The numbers"))
+    return section

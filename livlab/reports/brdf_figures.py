@@ -1,0 +1,184 @@
+"""Figures of a BRDF run: where samples lie, lobes, and the cuts that are compared."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from livlab.reports.figures import DASHES, INK, MARKERS, MUTED, colour, style
+
+CHANNEL_COLOURS = {"R": 0, "G": 2, "B": 1}
+
+
+def half_angle_maps(result: xr.Dataset, names: list[str], dim: str) -> Figure:
+    """Rms relative error of the samples in each cell of (θ_h, θ_d), one panel a subject; blank: no sample."""
+    columns = min(3, len(names))
+    rows = -(-len(names) // columns)
+    with style():
+        figure = Figure(figsize=(7.4, 0.9 + 2.35 * rows))
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        h, d = result["theta_h"].to_numpy(), result["theta_d"].to_numpy()
+        step_h, step_d = h[1] - h[0], d[1] - d[0]
+        edges = np.append(h - step_h / 2, h[-1] + step_h / 2), np.append(d - step_d / 2, d[-1] + step_d / 2)
+        shown = None
+        for ax, name in zip(axes.flat, names, strict=False):
+            error = result["cell_error"].sel({dim: name}).transpose("theta_d", "theta_h").to_numpy()
+            shown = ax.pcolormesh(
+                edges[0], edges[1], np.where(error > 0, error, np.nan) * 100, norm=LogNorm(0.003, 10.0),
+                cmap="viridis", rasterized=True,
+            )  # fmt: skip
+            ax.set_title(name)
+            ax.set(xlim=(0, 90), ylim=(0, 90), xticks=[0, 30, 60, 90], yticks=[0, 30, 60, 90])
+        for ax in axes.flat[len(names) :]:
+            ax.set_visible(False)
+        for ax in axes[:, 0]:
+            ax.set_ylabel("θ_d [deg]")
+        for k in range(columns):
+            below = [axes[r, k] for r in range(rows) if axes[r, k].get_visible()]
+            below[-1].set_xlabel("θ_h [deg]")
+            below[-1].tick_params(labelbottom=True)
+        if shown is not None:
+            figure.colorbar(shown, ax=list(axes.flat), label="rms error [%]", shrink=0.85, pad=0.02)
+        return figure
+
+
+def lobes(result: xr.Dataset) -> Figure:
+    """Values in the plane of incidence at each angle of incidence: samples, truth, fit; one colour a channel."""
+    incidences = result["incidence"].to_numpy()
+    columns = min(3, len(incidences))
+    rows = -(-len(incidences) // columns)
+    theta = result["theta"].to_numpy()
+    channels = [str(c) for c in result["channel"].values]
+    values = result["measured"].to_numpy()
+    known = values[np.isfinite(values) & (values > 0)]
+    wide = known.size > 0 and known.max() > 10 * np.quantile(known, 0.05)
+    with style():
+        figure = Figure(figsize=(7.4, 1.0 + 2.3 * rows))
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for k, (ax, angle) in enumerate(zip(axes.flat, incidences, strict=False)):
+            part = result.isel(incidence=k)
+            for c, channel in enumerate(channels):
+                tone = colour(CHANNEL_COLOURS.get(channel, c))
+                first = k == 0
+                true = part["true"].isel(channel=c).to_numpy()
+                ax.plot(theta, true, color=tone, lw=1.0, label=f"{channel}: bsdf.eval" if first else None)
+                ax.plot(
+                    theta, part["measured"].isel(channel=c).to_numpy(), color=tone, ls="none",
+                    marker=MARKERS[c], ms=3.2, label=f"{channel}: samples" if first else None,
+                )  # fmt: skip
+                fitted = part["fitted"].isel(channel=c).to_numpy()
+                if np.isfinite(fitted).any():
+                    ax.plot(theta, fitted, color=tone, ls=DASHES[3], lw=1.6, label=f"{channel}: fit" if first else None)
+            ax.axvline(float(angle), color=MUTED, lw=0.8, ls=(0, (2, 3)))
+            ax.set_title(f"light at {angle:g}°")
+            ax.set(xlim=(-90, 90), xticks=[-60, 0, 60])
+            if wide:
+                ax.set_yscale("log")
+        if not wide and known.size:
+            for ax in axes.flat:
+                ax.set_ylim(0, 1.15 * known.max())
+        _finish(figure, axes, len(incidences), "eye θ_o [deg]", "BRDF [1/sr]")
+        return figure
+
+
+def cuts(result: xr.Dataset, scan: str) -> Figure:
+    """The compared cut, a row a reading and a column a wavelength: sphere, goniometer and the fitted Nunes form."""
+    readings = [str(r) for r in result["reading"].values]
+    wavelengths = result["wavelength"].to_numpy()
+    x = result["cut_angle"].to_numpy()
+    with style():
+        figure = Figure(figsize=(7.4, 1.0 + 2.2 * len(readings)))
+        axes = figure.subplots(len(readings), len(wavelengths), squeeze=False, sharex=True)
+        for r, reading in enumerate(readings):
+            for w, nm in enumerate(wavelengths):
+                ax = axes[r, w]
+                at = {"reading": r, "wavelength": w}
+                _with_error(ax, x, result["cut_goniometer"].isel(at), result["cut_goniometer_se"].isel(at), 1, "flat")
+                _points(ax, x, result["cut_sphere"].isel(at), result["cut_sphere_se"].isel(at), 0, "sphere")
+                fitted = result["cut_fit"].isel(at).to_numpy()
+                if np.isfinite(fitted).any():
+                    ax.plot(x, fitted, color=INK, lw=1.4, ls=DASHES[1], label="Nunes 2017 form, fitted")
+                ax.set_title(f"{reading}, {nm:g} nm")
+                top = np.nanmax(
+                    [np.nanmax(result["cut_goniometer"].isel(at)), np.nanmax(result["cut_sphere"].isel(at))]
+                )
+                ax.set_ylim(0, 1.3 * top)
+        label = "eye θ_o [deg], minus: on the light's side" if scan == "incidence" else "light and eye at θ [deg]"
+        _finish(figure, axes, len(readings) * len(wavelengths), label, "BRDF [1/sr]")
+        return figure
+
+
+def liver_lobes(result: xr.Dataset, wavelength: int) -> Figure:
+    """Polar lobes of the flat sample at every incidence, one panel a reading, with the sphere's samples."""
+    readings = [str(r) for r in result["reading"].values]
+    incidences = result["incidence"].to_numpy()
+    theta = np.radians(result["theta"].to_numpy())
+    with style():
+        figure = Figure(figsize=(7.4, 3.4 if len(readings) < 4 else 6.2))
+        columns = min(3, len(readings))
+        axes = figure.subplots(-(-len(readings) // columns), columns, squeeze=False, subplot_kw={"projection": "polar"})
+        for r, (ax, reading) in enumerate(zip(axes.flat, readings, strict=False)):
+            part = result.isel(reading=r, wavelength=wavelength)
+            for k, angle in enumerate(incidences):
+                line = part["flat_lobes"].isel(incidence=k).to_numpy()
+                ax.plot(
+                    theta, line, color=colour(k), ls=DASHES[k % len(DASHES)], label=f"{angle:g}°" if r == 0 else None
+                )
+                dots = part["sphere_lobes"].isel(incidence=k).to_numpy()
+                ax.plot(theta, dots, color=colour(k), ls="none", marker=MARKERS[k % len(MARKERS)], ms=3)
+            ax.set_theta_zero_location("N")
+            ax.set_theta_direction(-1)
+            ax.set(thetamin=-90, thetamax=90, title=reading)
+            ax.tick_params(labelsize=7)
+        for ax in axes.flat[len(readings) :]:
+            ax.set_visible(False)
+        figure.legend(loc="outside upper center", ncols=len(incidences), title="light at")
+        return figure
+
+
+def radii(table: Any) -> Figure:
+    """How far the sphere's mean BRDF lies from the flat sample's, by the sphere's radius."""
+    with style():
+        figure = Figure(figsize=(7.4, 3.4))
+        ax = figure.subplots()
+        groups = list(table.groupby(["reading", "wavelength_nm"], sort=False))
+        for k, ((reading, nm), part) in enumerate(groups):
+            ax.errorbar(
+                part["radius_mm"], part["ratio"], 2 * part["ratio_se"], color=colour(k), marker=MARKERS[k % 8],
+                ls=DASHES[k % len(DASHES)], capsize=2, label=f"{reading}, {nm:g} nm",
+            )  # fmt: skip
+        ax.axhline(1.0, color=INK, lw=1)
+        ax.set_xscale("log")
+        ax.set_xlabel("radius of the sphere [mm]")
+        ax.set_ylabel("sphere / flat sample")
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+        return figure
+
+
+def _points(ax: Any, x: Any, y: Any, se: Any, k: int, label: str) -> None:
+    ax.errorbar(
+        x, y, 2 * np.nan_to_num(se), color=colour(k), marker=MARKERS[k], ms=4, ls="none", capsize=2, label=label
+    )
+
+
+def _with_error(ax: Any, x: Any, y: Any, se: Any, k: int, label: str) -> None:
+    y, se = np.asarray(y), np.nan_to_num(se)
+    ax.plot(x, y, color=colour(k), label=label)
+    ax.fill_between(x, y - 2 * se, y + 2 * se, color=colour(k), alpha=0.25, lw=0)
+
+
+def _finish(figure: Figure, axes: Any, used: int, x_label: str, y_label: str) -> None:
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    rows, columns = axes.shape
+    for ax in axes.flat[used:]:
+        ax.set_visible(False)
+    for k in range(columns):
+        below = [axes[r, k] for r in range(rows) if axes[r, k].get_visible()]
+        below[-1].tick_params(labelbottom=True)
+    figure.supxlabel(x_label, fontsize=10)
+    figure.supylabel(y_label, fontsize=10)
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
