@@ -37,6 +37,7 @@ ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
 BODIES = {
     "optics": "livlab.reports.optics:sections",
+    "brdf": "livlab.reports.brdf:brdf_sections",
     "spectral": "livlab.reports.page:spectral_sections",
     "picture": "livlab.reports.picture:picture_sections",
 }
@@ -96,7 +97,7 @@ def _facts(run: RunData) -> list[tuple[str, str]]:
         ("finished", str(m.get("finished") or "not yet")),
         ("took", f"{number(m.get('seconds'), 3)} s"),
     ]
-    if run.result is not None:
+    if run.result is not None and "wavelength" in run.result:
         wavelength = run.result["wavelength"].to_numpy()
         span = f"{number(float(wavelength[0]))}–{number(float(wavelength[-1]))} nm, {len(wavelength)} wavelengths"
         rows.append(("band", span if len(wavelength) > 1 else f"{number(float(wavelength[0]))} nm"))
