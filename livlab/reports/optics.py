@@ -26,13 +26,13 @@ def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Sect
             pictures.add(
                 "phase-polar",
                 draw.polar(data),
-                f"Phase functions at {at} nm around the sphere, light coming from the left and going to 0°; each over its "
-                "own largest value.",
+                f"Phase functions at {at} nm around the sphere, light coming from the left and going to 0°; each over "
+                "its own largest value.",
             ),
             pictures.add(
                 "phase",
                 draw.phase(data),
-                f"The same phase functions at {at} nm against the scattering angle; each integrates to 1 over the sphere.",
+                f"The same phase functions at {at} nm against the scattering angle; each integrates to 1.",
             ),
         ]
     )
@@ -47,7 +47,8 @@ def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Sect
             pictures.add(
                 "efficiencies",
                 draw.efficiencies(data),
-                "The same efficiencies as they are: cross section over π r². Rayleigh's has no bound, Mie's stays of order 1.",
+                "The same efficiencies as they are: cross section over π r². Rayleigh's has no bound, Mie's stays of "
+                "order 1.",
             ),
             from_frame(_summary(run.table("efficiencies")), "Over the wavelengths drawn, from the first to the last."),
         ]
@@ -59,7 +60,7 @@ def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Sect
             pictures.add(
                 "validity",
                 draw.validity(data),
-                "Rayleigh's efficiency over Mie's. Bars: the size parameters that the spheres above have over the band.",
+                "Rayleigh's efficiency over Mie's. Bars: the size parameters of the spheres above over the band.",
             ),
         ]
     )
