@@ -17,9 +17,12 @@ from livlab.study.optics_figures_claims import crossing, peak
 
 HEAD = 'schema = 1\nkind = "optics"\nname = "small"\n[wavelengths]\nstart_nm = 500\nstop_nm = 600\nstep_nm = 20\n'
 SPHERE = 'radii_um = [0.05]\n[[particle]]\nlabel = "glass"\nn_particle = 1.5\n'
-BLOOD = (
-    '[[chromophore]]\nlabel = "blood"\ndataset = "haemoglobin_prahl"\ncolumn = "hbo2_molar_extinction_per_cm_per_M"\n'
-)
+BLOOD = '[[chromophore]]\nlabel = "blood"\ndataset = "haemoglobin_prahl"\ncolumn = "hbo2"\n'
+
+
+def criterion(metric: str, of: str, reference: float = 0.0, **keys: object) -> str:
+    lines = {"metric": metric, "of": of, "reference": reference, "tolerance": 0.01, **keys}
+    return "[[criterion]]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in lines.items())
 
 
 def spheres(more: str = "") -> str:
