@@ -1,0 +1,288 @@
+"""From stored photographs to linear radiance with its variance: dark and flat frames, and exposures merged by noise."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from livlab.acquire.linearity import Response
+from livlab.acquire.outline import FloatArray
+from livlab.acquire.photographs_read import Photograph
+from livlab.brdf.sphere import Noise
+from livlab.errors import InputError
+
+Float32Array = NDArray[np.float32]
+
+SATURATION = 0.99
+"""Share of full scale at and above which a stored value counts as clipped."""
+
+_DISAGREE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Development:
+    """What turns stored values into linear ones.
+
+    Attributes
+    ----------
+    response
+        Stored to linear.
+    noise
+        Variance of linear values (0 to 1), `read`² + `gain` · value; None where it is not known.
+    dark
+        Linear values (rows, columns, channels) with the lens covered, by relative exposure; None where there are none.
+    flat
+        What an evenly lit field gives, 1 in the middle; None where there is none.
+    saturation
+        Share of full scale at which values clip.
+    float_scale
+        Full scale of floating-point files: the value that counts as 1.
+    """
+
+    response: Response
+    noise: Noise | None = None
+    dark: tuple[tuple[float, Float32Array], ...] = ()
+    flat: Float32Array | None = None
+    saturation: float = SATURATION
+    float_scale: float = 1.0
+
+    def stored(self, photograph: Photograph) -> Float32Array:
+        """Stored values as shares of full scale, NaN where the file has none."""
+        if np.isfinite(photograph.full_scale):
+            return np.asarray(photograph.values / np.float32(photograph.full_scale), dtype=np.float32)
+        values = np.asarray(photograph.values / self.float_scale, dtype=np.float32)
+        return np.where(np.isfinite(values), values, np.float32(np.nan))
+
+    def quantum(self, photograph: Photograph) -> float:
+        """Step of the stored values as a share of full scale; 0 of floating point."""
+        return 1.0 / photograph.full_scale if np.isfinite(photograph.full_scale) else 0.0
+
+    def linear(self, photograph: Photograph, exposure: float) -> tuple[Float32Array, Float32Array, NDArray[np.bool_]]:
+        """Linear values, their variance (NaN where the noise is not known), and which are clipped, all (r, c, ch)."""
+        stored = self.stored(photograph)
+        clipped = np.zeros(stored.shape, dtype=bool)
+        if np.isfinite(photograph.full_scale):
+            clipped = stored >= self.saturation
+        value = np.asarray(self.response.decode(stored), dtype=np.float32)
+        if self.noise is None:
+            variance = np.full(value.shape, np.nan, dtype=np.float32)
+        else:
+            step = self.quantum(photograph) * self.response.slope(stored)
+            variance = np.asarray(
+                self.noise.read**2 + self.noise.gain * np.clip(value, 0, None) + step**2 / 12, dtype=np.float32
+            )
+        dark = self._dark(exposure, value.shape)
+        if dark is not None:
+            value = value - dark
+        if self.flat is not None:
+            flat = _fitting("flat", self.flat, value.shape)
+            value, variance = value / flat, variance / flat**2
+        return value, variance, clipped
+
+    def _dark(self, exposure: float, shape: tuple[int, ...]) -> Float32Array | None:
+        if not self.dark:
+            return None
+        return _fitting("dark", min(self.dark, key=lambda pair: abs(np.log(pair[0] / exposure)))[1], shape)
+
+
+def _fitting(name: str, frame: Float32Array, shape: tuple[int, ...]) -> Float32Array:
+    if frame.shape[:2] != shape[:2] or frame.shape[2] not in (1, shape[2]):
+        raise InputError.of(
+            f"{name} frame", frame.shape, f"must have the size {shape} of the pictures", "Take it with the same camera."
+        )
+    return frame
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """One picture from its exposures.
+
+    Attributes
+    ----------
+    value, variance
+        (rows, columns, channels) linear radiance at exposure 1; NaN where no exposure holds it.
+    clipped
+        Share of the pixels that every exposure clips.
+    not_finite
+        Share that a file gave as NaN or infinite.
+    agreement
+        For each exposure the median ratio of its values to the merged ones, where both hold; NaN where none do.
+    notes
+        What a reader should know.
+    """
+
+    value: Float32Array
+    variance: Float32Array
+    clipped: float
+    not_finite: float
+    agreement: tuple[float, ...]
+    notes: tuple[str, ...] = ()
+
+
+def merge(photographs: Sequence[Photograph], exposures: Sequence[float], development: Development) -> Merged:
+    """Merge exposures of one still scene, each weighted with the inverse of its variance; clipped values are left out.
+
+    The estimate of x = value / exposure over exposures i is Σ t_i² x_i / v_i over Σ t_i² / v_i. The variance v_i is
+    taken at the merged value and not at the noisy one, which would favour values that came out low.
+
+    Parameters
+    ----------
+    photographs, exposures
+        One or more pictures and their relative exposures.
+    development
+        Response, noise, dark and flat frames.
+
+    Raises
+    ------
+    InputError
+        No picture, exposures that are not > 0, or sizes that differ.
+    """
+    if not photographs or len(photographs) != len(exposures):
+        counts = f"{len(photographs)} pictures, {len(exposures)} exposures"
+        raise InputError.of("photographs", counts, "must be one exposure for each, one at least", "Mend the lists.")
+    if not all(np.isfinite(t) and t > 0 for t in exposures):
+        raise InputError.of("exposures", list(exposures), "must be > 0", "Give seconds, or any unit they share.")
+    shapes = {p.values.shape for p in photographs}
+    if len(shapes) > 1:
+        names = ", ".join(f"{p.name} {p.values.shape[1]}x{p.values.shape[0]}" for p in photographs[:4])
+        raise InputError.of("photographs", names, "must have one size", "Give all pictures uncropped.")
+    if len(photographs) == 1:
+        return _alone(photographs[0], exposures[0], development)
+    frames = [development.linear(p, t) for p, t in zip(photographs, exposures, strict=True)]
+    good = [np.isfinite(x) & ~clipped for x, _, clipped in frames]
+    noise = development.noise or Noise(read=1e-3, gain=1e-4)  # weights alone: the variance stays unknown
+    estimate: Float32Array | None = None
+    weights = np.zeros(0)
+    for _ in range(3):
+        total = np.zeros(frames[0][0].shape)
+        weights = np.zeros(frames[0][0].shape)
+        for (x, known, _), t, use in zip(frames, exposures, good, strict=True):
+            if estimate is None:
+                variance = noise.read**2 + noise.gain * np.clip(np.where(use, x, 0), 0, None)
+            else:
+                at = np.clip(np.nan_to_num(estimate) * t, 0, None)
+                variance = noise.read**2 + noise.gain * at
+                if development.noise is not None:
+                    # Flat and quantisation as they were found, photon noise at the merged value.
+                    extra = known - (noise.read**2 + noise.gain * np.clip(np.nan_to_num(x), 0, None))
+                    variance = variance + np.clip(np.nan_to_num(extra), 0, None)
+            w = np.where(use, t**2 / np.maximum(variance, 1e-30), 0.0)
+            total += np.where(use, w * x / t, 0.0)
+            weights += w
+        with np.errstate(invalid="ignore", divide="ignore"):
+            estimate = np.where(weights > 0, total / weights, np.nan).astype(np.float32)
+    assert estimate is not None
+    with np.errstate(divide="ignore"):
+        variance = np.where(weights > 0, 1 / weights, np.nan)
+    if development.noise is None:
+        variance = np.full(variance.shape, np.nan)
+    agreement, notes = _agreement(frames, exposures, good, estimate)
+    everywhere = np.all([clipped for _, _, clipped in frames], axis=0)
+    if everywhere.any():
+        notes.append(
+            f"{everywhere.mean():.2%} of the pixels clip in every exposure: the shortest is too long for the highlight."
+        )
+    finite = np.any([np.isfinite(x) for x, _, _ in frames], axis=0)
+    return Merged(
+        estimate,
+        np.asarray(variance, dtype=np.float32),
+        float(everywhere.mean()),
+        float(1 - finite.mean()),
+        agreement,
+        tuple(notes),
+    )
+
+
+def _alone(photograph: Photograph, exposure: float, development: Development) -> Merged:
+    value, variance, clipped = development.linear(photograph, exposure)
+    value = np.where(clipped, np.float32(np.nan), value / np.float32(exposure))
+    notes = (f"{clipped.mean():.2%} of the pixels are clipped.",) if clipped.any() else ()
+    lost = float(1 - np.isfinite(development.stored(photograph)).mean())
+    return Merged(value, variance / np.float32(exposure**2), float(clipped.mean()), lost, (1.0,), notes)
+
+
+def _agreement(
+    frames: Sequence[tuple[Float32Array, Float32Array, NDArray[np.bool_]]],
+    exposures: Sequence[float],
+    good: Sequence[NDArray[np.bool_]],
+    estimate: Float32Array,
+) -> tuple[tuple[float, ...], list[str]]:
+    shares, notes = [], []
+    for (x, _, _), t, use in zip(frames, exposures, good, strict=True):
+        both = use & (np.sum(good, axis=0) > 1) & (x > 0.05)
+        shares.append(float(np.median(x[both] / t / estimate[both])) if both.sum() > 50 else float("nan"))
+    off = [abs(s - 1) for s in shares if np.isfinite(s)]
+    if off and max(off) > _DISAGREE:
+        shown = ", ".join("-" if np.isnan(s) else f"{s:.3f}" for s in shares)
+        notes.append(
+            f"The exposures disagree ({shown} of the merged values): wrong exposure times, a light that flickers, "
+            "movement, stray light, a dark offset or a wrong response."
+        )
+    return tuple(shares), notes
+
+
+def flat_field(
+    photograph: Photograph, development: Development, exposure: float = 1.0, blur_px: float = 3.0
+) -> FloatArray:
+    """What the lens passes to each pixel, 1 in the middle, from a picture of an even white field (rows, columns, ch).
+
+    Raises
+    ------
+    InputError
+        It is clipped, not finite, or so dark at a corner that it is no flat field.
+    """
+    from scipy import ndimage
+
+    value, _, clipped = development.linear(photograph, exposure)
+    if clipped.any() or not np.isfinite(value).all():
+        raise InputError.of(
+            "flat", photograph.name, "is clipped or not finite", "Expose it to about half of full scale."
+        )
+    smooth = ndimage.gaussian_filter(value.astype(np.float64), (blur_px, blur_px, 0), mode="nearest")
+    rows, columns = smooth.shape[:2]
+    middle = smooth[
+        rows * 9 // 20 : max(rows * 11 // 20, rows * 9 // 20 + 1),
+        columns * 9 // 20 : max(columns * 11 // 20, columns * 9 // 20 + 1),
+    ]
+    flat = smooth / middle.mean(axis=(0, 1))
+    if not np.all(flat > 0.05):
+        raise InputError.of(
+            "flat",
+            f"{photograph.name}: {flat.min():.3g} of the middle",
+            "falls below 5 %",
+            "Picture an even white field.",
+        )
+    return np.asarray(flat)
+
+
+def estimate_noise(value: NDArray[np.floating]) -> Noise | None:
+    """Noise from one linear picture: differences of neighbours by level; texture and edges make it an upper bound.
+
+    None where the picture is too small or does not vary.
+    """
+    x = np.asarray(value, dtype=np.float64)
+    x = x if x.ndim == 3 else x[..., None]
+    bend = (x[:, :-2] + x[:, 2:] - 2 * x[:, 1:-1]) / np.sqrt(6.0)
+    level = (x[:, :-2] + x[:, 2:] + x[:, 1:-1]) / 3
+    use = np.isfinite(bend) & np.isfinite(level)
+    level, bend = level[use], bend[use]
+    if level.size < 500:
+        return None
+    edges = np.quantile(level, np.linspace(0, 1, 21))
+    points = []
+    for low, high in itertools.pairwise(edges):
+        here = (level >= low) & (level <= high)
+        if here.sum() > 50:
+            points.append((float(level[here].mean()), float((1.4826 * np.median(np.abs(bend[here]))) ** 2)))
+    at, variance = np.array(points).T
+    from scipy import optimize
+
+    scale = max(float(at.max()), 1e-12)
+    (read2, gain), _ = optimize.nnls(np.column_stack([np.ones_like(at), np.clip(at, 0, None) / scale]), variance)
+    if read2 + gain <= 0:
+        return None
+    return Noise(read=float(np.sqrt(read2)), gain=float(gain / scale))
