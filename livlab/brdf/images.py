@@ -1,13 +1,14 @@
 """Images of a sphere, one light after the other: checked, scaled to radiance, only the part that is asked for."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from livlab.brdf.geometry import Light
+from livlab.brdf.geometry import Camera, Light
 from livlab.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -125,6 +126,29 @@ class Frames:
         else:
             masked = ~self.mask[k if len(self.mask) > 1 else 0][rows, columns]
         return Patch(value / self.scale[k], noise, finite, masked, saturated)
+
+
+def binned(images: xr.DataArray, camera: Camera, factor: int) -> tuple[xr.DataArray, Camera]:
+    """Images of means over squares of `factor` by `factor` pixels, and the camera that would have taken them.
+
+    A square with a pixel that is not usable (NaN) is not usable. Saturated pixels are to be made NaN before, since a
+    mean hides them.
+
+    Raises
+    ------
+    InputError
+        Width or height is not a multiple of the factor.
+    """
+    sizes = (images.sizes["row"], images.sizes["column"])
+    if factor < 1 or any(size % factor for size in sizes):
+        raise InputError.of("factor", factor, f"must divide {sizes[1]} x {sizes[0]}", "Crop the images first.")
+    matrix = camera.matrix / factor
+    # Centres have whole numbers, so the corner of the frame lies at -0.5 whatever the pixels' size.
+    matrix[:2, 2] = (camera.matrix[:2, 2] + 0.5) / factor - 0.5
+    matrix[2, 2] = 1.0
+    squares = images.coarsen(row=factor, column=factor).construct(row=("row", "y"), column=("column", "x"))
+    small = squares.mean(("y", "x"), skipna=False)
+    return small, replace(camera, width=sizes[1] // factor, height=sizes[0] // factor, matrix=matrix)
 
 
 def _ordered(name: str, images: xr.DataArray) -> xr.DataArray:

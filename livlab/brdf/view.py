@@ -106,7 +106,7 @@ def see(camera: Camera, sphere: Sphere, *, max_angle: float, grazing_px: float, 
             "sphere",
             f"{wide} x {tall} pixels",
             f"covers more than the {max_pixels} pixels that max_bytes has room for",
-            "Bin the images (livlab.brdf.sphere.binned), or raise max_bytes.",
+            "Bin the images (livlab.brdf.images.binned), or raise max_bytes.",
         )
     columns, rows = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]))
     origins, directions = camera.rays(columns, rows)
