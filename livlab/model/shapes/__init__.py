@@ -1,8 +1,22 @@
 """Geometry: shapes as triangle meshes in mm, distances to them, shells, sections. No renderer."""
 
-from livlab.model.shapes.distance import DistanceField, distance_field, signed_distance
+from livlab.model.shapes.checks import check
+from livlab.model.shapes.distance import DistanceField, distance_field
 from livlab.model.shapes.mesh import TriangleMesh
 from livlab.model.shapes.organ import liver
 from livlab.model.shapes.primitives import box, sphere
+from livlab.model.shapes.section import Plane, Section, section, wedge
 
-__all__ = ["DistanceField", "TriangleMesh", "box", "distance_field", "liver", "signed_distance", "sphere"]
+__all__ = [
+    "DistanceField",
+    "Plane",
+    "Section",
+    "TriangleMesh",
+    "box",
+    "check",
+    "distance_field",
+    "liver",
+    "section",
+    "sphere",
+    "wedge",
+]

@@ -16,7 +16,6 @@ MAX_NODES = 250_000_000
 """1 GB of float32 values."""
 
 _PAD = 2  # nodes outside the mesh on each side
-_COARSE_NODES = 12_000_000  # the Euclidean transform needs about 50 bytes a node
 _QUERY_NODES = 1_000_000
 _VERSION = 1
 
@@ -66,8 +65,8 @@ class DistanceField:
         """
         points = np.asarray(points_mm, dtype=np.float64)
         shape = np.array(self.values.shape[::-1])
-        exact = (points - self.origin_mm) / self.spacing_mm
-        held = np.clip(exact, 0, shape - 1)
+        place = (points - self.origin_mm) / self.spacing_mm
+        held = np.clip(place, 0, shape - 1)
         low = np.minimum(held.astype(np.int64), shape - 2)
         t = held - low
         total = np.zeros(points.shape[:-1])
@@ -75,7 +74,7 @@ class DistanceField:
             i, j, k = (low[..., axis] + corner[axis] for axis in range(3))
             weight = np.prod(np.where(corner, t, 1 - t), axis=-1)
             total += weight * self.values[k, j, i]
-        away = np.linalg.norm(exact - held, axis=-1) * self.spacing_mm
+        away = np.linalg.norm(place - held, axis=-1) * self.spacing_mm
         return np.where(away > 0, -np.hypot(away, np.minimum(total, 0)), total)
 
 
@@ -103,7 +102,7 @@ def distance_field(
     Returns
     -------
     field
-        4 bytes a node; the making needs up to 60 bytes a node for the first twelve million nodes and 20 for the rest.
+        4 bytes a node; the making needs about 15 bytes a node and 0.3 GB for the queries near the surface.
 
     Raises
     ------
@@ -144,23 +143,13 @@ def distance_field(
     return DistanceField(origin, float(spacing_mm), values, band)
 
 
-def signed_distance(mesh: TriangleMesh, points_mm: ArrayLike) -> FloatArray:
-    """Exact signed distance in mm of points (n, 3) to a closed mesh, positive inside."""
-    import igl  # type: ignore[import-untyped]
-
-    points = np.ascontiguousarray(points_mm, dtype=np.float64).reshape(-1, 3)
-    if len(points) == 0:
-        return np.zeros(0)
-    found = igl.signed_distance(
-        points, mesh.vertices, mesh.faces.astype(np.int64), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
-    )
-    return -np.asarray(found[0], dtype=np.float64)
-
-
 def _values(
     mesh: TriangleMesh, origin: FloatArray, spacing: float, nodes: NDArray[np.int64], band: float
 ) -> NDArray[np.float32]:
     from scipy import ndimage
+
+    from livlab.model.shapes import exact
+    from livlab.model.shapes.transform import distance_to
 
     shape = tuple(int(n) for n in nodes[::-1])
     touched = np.zeros(shape, dtype=bool)
@@ -168,42 +157,23 @@ def _values(
         i, j, k = np.rint((points - origin) / spacing).astype(np.int64).T
         touched[k, j, i] = True
     # A surface point is within 1/√3 of a lattice point, and that within √3/2 of a touched node.
-    reach = (1 / np.sqrt(3) + np.sqrt(3) / 2) * spacing
-    lower = _distance_to(touched, spacing) - np.float32(reach)
+    reach = 1.0001 * (1 / np.sqrt(3) + np.sqrt(3) / 2) * spacing  # float32 rounds
+    values = distance_to(touched)
     del touched
-    near = lower <= band
-    values: NDArray[np.float32] = lower
+    values *= np.float32(spacing)
+    values -= np.float32(reach)
+    near = values <= band
 
     flat = np.flatnonzero(near)
     for start in range(0, len(flat), _QUERY_NODES):
         part = flat[start : start + _QUERY_NODES]
         k, j, i = np.unravel_index(part, shape)
-        exact = signed_distance(mesh, origin + spacing * np.stack([i, j, k], axis=-1))
-        values.reshape(-1)[part] = exact
+        values.reshape(-1)[part] = exact.signed_distance(mesh, origin + spacing * np.stack([i, j, k], axis=-1))
     far, regions = ndimage.label(~near)
     if regions:
         values[~near] *= _region_signs(mesh, origin, spacing, far, regions)[far[~near]]
     _refuse_torn(values, near, origin, spacing)
     return values
-
-
-def _distance_to(mask: NDArray[np.bool_], spacing: float) -> NDArray[np.float32]:
-    """Lower bound of each node's distance to the nearest node of the mask; exact up to twelve million nodes."""
-    from scipy import ndimage
-
-    factor = int(np.ceil((mask.size / _COARSE_NODES) ** (1 / 3)))
-    if factor == 1:
-        return np.asarray(ndimage.distance_transform_edt(~mask, sampling=spacing), dtype=np.float32)
-    blocks = tuple(-(-n // factor) for n in mask.shape)
-    coarse = np.zeros(blocks, dtype=bool)
-    for offset in np.ndindex(factor, factor, factor):
-        some = mask[tuple(slice(o, None, factor) for o in offset)]
-        coarse[tuple(slice(0, n) for n in some.shape)] |= some
-    found = np.asarray(ndimage.distance_transform_edt(~coarse, sampling=spacing * factor), dtype=np.float32)
-    found -= np.float32(np.sqrt(3) * spacing * (factor - 1))  # both nodes anywhere in their blocks
-    for axis, n in enumerate(mask.shape):
-        found = np.take(found, np.arange(n) // factor, axis=axis)
-    return found
 
 
 def _lattice(mesh: TriangleMesh, step: float) -> Iterator[FloatArray]:
@@ -212,7 +182,8 @@ def _lattice(mesh: TriangleMesh, step: float) -> Iterator[FloatArray]:
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.maximum(1, np.ceil(longest / step)).astype(np.int64)
     for count in np.unique(parts):
-        rows = np.array([(count - i - j, i, j) for i in range(count + 1) for j in range(count + 1 - i)]) / count
+        i, j = (index.reshape(-1) for index in np.mgrid[: count + 1, : count + 1])
+        rows = np.stack([count - i - j, i, j], axis=-1)[i + j <= count] / count
         chosen = np.flatnonzero(parts == count)
         size = max(1, 2_000_000 // len(rows))
         for start in range(0, len(chosen), size):
@@ -223,24 +194,26 @@ def _region_signs(
     mesh: TriangleMesh, origin: FloatArray, spacing: float, far: NDArray[np.integer], regions: int
 ) -> NDArray[np.float32]:
     """+1 or -1 of each region by the winding number at one of its nodes."""
-    import igl
+    from livlab.model.shapes import exact
 
-    labels, first = np.unique(far.reshape(-1), return_index=True)
+    numbered = far.reshape(-1)
+    places = np.flatnonzero(numbered)
+    one_of = np.zeros(regions + 1, dtype=np.int64)
+    one_of[numbered[places]] = places
     signs = np.ones(regions + 1, dtype=np.float32)
-    for label, place in zip(labels, first, strict=True):
-        if label:
-            k, j, i = np.unravel_index(place, far.shape)
-            node = origin + spacing * np.array([i, j, k], dtype=np.float64)
-            winding = float(igl.winding_number(mesh.vertices, mesh.faces.astype(np.int64), node[None])[0])
-            if abs(winding - round(winding)) > 0.01 or round(winding) not in (0, 1):
-                place_mm = ", ".join(f"{x:.3g}" for x in node)
-                raise InputError.of(
-                    "mesh",
-                    f"winding number {winding:.3g} at ({place_mm}) mm",
-                    "must be 0 outside and 1 inside",
-                    "The mesh has holes, overlaps itself or looks inwards: run `check` on it.",
-                )
-            signs[label] = 1 if round(winding) == 1 else -1
+    for label in range(1, regions + 1):
+        k, j, i = np.unravel_index(int(one_of[label]), far.shape)
+        node = origin + spacing * np.array([i, j, k], dtype=np.float64)
+        winding = exact.winding_number(mesh, node)
+        if abs(winding - round(winding)) > 0.01 or round(winding) not in (0, 1):
+            place_mm = ", ".join(f"{x:.3g}" for x in node)
+            raise InputError.of(
+                "mesh",
+                f"winding number {winding:.3g} at ({place_mm}) mm",
+                "must be 0 outside and 1 inside",
+                "The mesh has holes, overlaps itself or looks inwards: run `check` on it.",
+            )
+        signs[label] = 1 if round(winding) == 1 else -1
     return signs
 
 

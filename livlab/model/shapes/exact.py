@@ -1,0 +1,62 @@
+"""Questions to libigl about triangle meshes: exact distances, winding numbers, intersections.
+
+Only libigl's core (MPL 2.0) is used, none of its `copyleft` modules.
+"""
+
+from __future__ import annotations
+
+import igl  # type: ignore[import-untyped]
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from livlab.model.shapes.mesh import FloatArray, TriangleMesh
+
+Pairs = NDArray[np.int64]
+
+
+def signed_distance(mesh: TriangleMesh, points_mm: ArrayLike) -> FloatArray:
+    """Signed distance in mm of points (n, 3) to a closed mesh, positive inside; the sign is the pseudonormal's."""
+    points = _points(points_mm)
+    if len(points) == 0:
+        return np.zeros(0)
+    found = igl.signed_distance(points, mesh.vertices, _faces(mesh), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
+    return -np.asarray(found[0], dtype=np.float64)
+
+
+def nearest(mesh: TriangleMesh, points_mm: ArrayLike) -> tuple[FloatArray, Pairs, FloatArray]:
+    """Distance in mm of points (n, 3) to a mesh, the face nearest to each and the nearest point on it."""
+    squared, faces, places = igl.point_mesh_squared_distance(_points(points_mm), mesh.vertices, _faces(mesh))
+    return np.sqrt(np.asarray(squared, dtype=np.float64)), np.asarray(faces), np.asarray(places)
+
+
+def winding_number(mesh: TriangleMesh, point_mm: ArrayLike) -> float:
+    """How often the surface goes round a point: 1 inside a closed mesh that looks outwards, 0 outside."""
+    return float(igl.winding_number(mesh.vertices, _faces(mesh), _points(point_mm))[0])
+
+
+def self_intersections(mesh: TriangleMesh) -> Pairs:
+    """Pairs (n, 2) of faces of one mesh that cross, by exact predicates."""
+    import igl.predicates  # type: ignore[import-untyped]
+
+    return np.asarray(igl.predicates.find_self_intersections(mesh.vertices.copy(), _faces(mesh))[1])
+
+
+def intersections(one: TriangleMesh, other: TriangleMesh) -> Pairs:
+    """Pairs (n, 2) of a face of one mesh and a face of the other that cross or touch, by exact predicates."""
+    import igl.predicates
+
+    found = igl.predicates.find_intersections(one.vertices.copy(), _faces(one), other.vertices.copy(), _faces(other))
+    return np.asarray(found[1])
+
+
+def split_vertices(mesh: TriangleMesh) -> NDArray[np.int64]:
+    """Vertices at which two sheets of the surface touch."""
+    return np.flatnonzero(~np.asarray(igl.is_vertex_manifold(_faces(mesh))))
+
+
+def _faces(mesh: TriangleMesh) -> NDArray[np.int64]:
+    return mesh.faces.astype(np.int64)
+
+
+def _points(points_mm: ArrayLike) -> FloatArray:
+    return np.ascontiguousarray(points_mm, dtype=np.float64).reshape(-1, 3)
