@@ -173,7 +173,9 @@ class Linearity:
         )
 
 
-def from_exposures(stack: Sequence[FloatArray], exposures: Sequence[float], stored: Sequence[FloatArray]) -> Linearity:
+def from_exposures(
+    stack: Sequence[NDArray[np.floating]], exposures: Sequence[float], stored: Sequence[NDArray[np.floating]]
+) -> Linearity:
     """Linearity from an exposure stack: log ratios of decoded values against log ratios of exposures.
 
     Values that go as exposure^(1/g) give log-log slopes of 1/g; the slope is the median over pixels and pairs.
