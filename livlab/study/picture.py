@@ -36,7 +36,9 @@ SAVE_SHARE = 0.05
 class Photographer(Protocol):
     """What takes the pictures of an experiment; `livlab.acquire.camera.Camera` is the one."""
 
-    notes: tuple[str, ...]
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the report must say of the scene, once it has been exposed."""
 
     @property
     def lit(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -91,12 +93,9 @@ def prepare(
     InputError, DatasetError
         Colour routes, datasets, meshes or layers that do not fit.
     """
-    if make_camera is None:
-        from livlab.acquire.camera import Camera
-
-        make_camera = Camera
+    make = make_camera or _camera
     grid, routes = colour_routes(config.colour, config.seed)
-    work = Work(config, grid, routes, {}, {}, {}, make_camera(config), make_camera)
+    work = Work(config, grid, routes, {}, {}, {}, make(config), make)
     fine = np.arange(np.ceil(grid[0] / 5) * 5, grid[-1] + 1e-9, 5.0)
     for name, spec in config.tissues.items():
         tissue = spec.build()
@@ -113,14 +112,18 @@ def prepare(
     return lambda run: _work(run, work)
 
 
+def _camera(config: PictureExperiment) -> Photographer:
+    from livlab.acquire.camera import Camera
+
+    return Camera(config)
+
+
 def _work(run: Run, work: Work) -> None:
     config = work.config
     _name_device(run, config.sampling.variant)
     keys = list(work.stacks)
     tasks = [label(key) for key in keys] + (["baselines"] if config.baselines else [])
     run.progress.begin([*tasks, *(["cost"] if config.cost else [])])
-    for note in work.camera.notes:
-        run.note(note)
     films: dict[Key, Film] = {}
     for key in keys:
         stack = work.stacks[key]
@@ -134,6 +137,8 @@ def _work(run: Run, work: Work) -> None:
                     f"{label(key)}: left out {', '.join(plan.dropped)}; flat layers move by at most {plan.bound:.2g}."
                 )
         films[key] = _picture(run, work, key, stack)
+    for note in work.camera.notes:
+        run.note(note)
     baselines = _baselines(run, work)
     started = time.perf_counter()
     pictures = {key: _seen(work, key, film) for key, film in films.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -154,7 +154,11 @@ def coordinate(found: FloatArray, what: str) -> float:
 
 
 def mean_colour(
-    radiance: FloatArray, radiance_se: FloatArray, lit: FloatArray, route: ColourRoute, exposure: float
+    radiance: FloatArray,
+    radiance_se: FloatArray,
+    lit: np.ndarray[Any, np.dtype[np.bool_]],
+    route: ColourRoute,
+    exposure: float,
 ) -> MeanColour:
     """Mean colour of the lit body.
 
