@@ -78,7 +78,8 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
-    "brdf": Kind("livlab.config_brdf:BrdfExperiment", "livlab.acquire.brdf_job:prepare"),
+    "brdf": Kind("livlab.config_brdf:BrdfExperiment", "livlab.study.brdf:prepare"),
+    "fit": Kind("livlab.config_fit:FitExperiment", "livlab.study.fit_job:prepare"),
     "optics": Kind("livlab.config_figures:OpticsExperiment", "livlab.study.optics_figures:prepare"),
     "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:prepare"),
     "picture": Kind("livlab.config_picture:PictureExperiment", "livlab.study.picture:prepare"),

@@ -91,11 +91,14 @@ class RigSpec(Section):
 class FitSpec(Section):
     """What is fitted to the samples."""
 
-    model: str = Field("lambert", min_length=1, description="Model by name (`livlab brdf fit --help` lists them).")
-    loss: str = Field("cosine", min_length=1, description="Stated loss: cosine-weighted squares, log or cube root.")
+    model: str = Field("lambert", min_length=1, description="A lobe, a named sum, or lobes joined by + (ggx+lambert).")
+    loss: Literal["cosine-weighted-l2", "log", "cube-root", "chi2"] = Field(
+        "cosine-weighted-l2", description="What is made small; a fitted parameter depends on it."
+    )
     footprint: bool = Field(True, description="Average the model over each pixel's footprint.")
-    most_samples: int = Field(20_000, ge=10, le=10**7, description="Samples used; more are thinned evenly.")
-    starts: int = Field(3, ge=1, le=100, description="Starts of the search.")
+    fixed: dict[str, float | list[float]] = Field({}, description="Parameters held at a value, or one a channel.")
+    free: tuple[str, ...] = Field((), strict=False, description="Parameters to fit that are held unless freed.")
+    starts: int = Field(2, ge=1, le=100, description="Starts of the search.")
 
 
 class MaterialSpec(Section):
@@ -170,9 +173,6 @@ class BrdfExperiment(Experiment):
     readings: tuple[ReadingName, ...] = Field((), strict=False, description="Named readings of the tissue.")
     reading: tuple[Reading, ...] = Field((), strict=False, description="Further readings, with options of their own.")
     wavelengths: Wavelengths | None = Field(None, description="Where the tissue is looked at.")
-    light_half_angle_deg: Annotated[float, Field(gt=0.0, le=15.0)] = Field(
-        5.0, description="Tissue: half-angle of each light as the sphere sees it; a smooth surface needs one."
-    )
     radii_mm: tuple[Annotated[float, Field(gt=0)], ...] = Field(
         (), strict=False, description="Tissue: other radii of the sphere to compare."
     )
@@ -209,6 +209,11 @@ class BrdfExperiment(Experiment):
             if criterion.of not in ("all", *names):
                 hint = nearest(criterion.of, names) or f"Known: {', '.join(names)}."
                 raise InputError.of(f"criterion[{k}].of", criterion.of, "names none that there is", hint)
+            known = () if self.wavelengths is None else self.wavelengths.grid().tolist()
+            if criterion.wavelength_nm is not None and criterion.wavelength_nm not in known:
+                raise InputError.of(
+                    f"criterion[{k}].wavelength_nm", criterion.wavelength_nm, "is not looked at", f"Known: {known}."
+                )
             if (criterion.metric == "parameter error") != (criterion.parameter is not None):
                 raise InputError.of(
                     f"criterion[{k}].parameter", criterion.parameter, "goes with 'parameter error' alone", "Mend it."

@@ -18,6 +18,7 @@ import xarray as xr
 
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.errors import InputError
+from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
 
 Silhouette = Literal["all-round", "back-lit", "none"]
@@ -127,6 +128,8 @@ class Photographs:
         (row, column) silhouette frame or None.
     seconds
         What the rendering took.
+    variance
+        Variance of the images' values where the renderer knows it.
     """
 
     images: xr.DataArray
@@ -135,6 +138,7 @@ class Photographs:
     sphere: Sphere
     outline: xr.DataArray | None
     seconds: float
+    variance: xr.DataArray | None = None
 
 
 def direction(angle_deg: float, azimuth_deg: float = 0.0) -> FloatArray:
@@ -250,6 +254,81 @@ def photograph(
     )
     frame = outline(rig, seed=seed)
     return Photographs(images, rig.camera, rig.lights, rig.sphere, frame, time.perf_counter() - started)
+
+
+def photograph_tissue(
+    rig: SphereRig,
+    stack: OpticalStack,
+    *,
+    seed: int = 0,
+    variant: Literal["llvm", "cuda"] = "llvm",
+    progress: Callable[[int], None] | None = None,
+) -> Photographs:
+    """Pictures of a sphere of tissue by the tracer, a channel a wavelength, with their variance.
+
+    What a smooth surface mirrors is a delta that a point light's pictures do not hold.
+
+    Parameters
+    ----------
+    stack
+        The tissue's layers and wavelengths; the last layer fills the sphere.
+    seed
+        Of the tracer.
+    variant
+        Where it runs: processor or graphics card.
+    progress
+        Called with the number of pictures done; it may raise to stop.
+
+    Raises
+    ------
+    InputError
+        The layers above the last are as thick as the sphere, or a light lies within it.
+    EnvironmentProblem
+        Mitsuba or the variant cannot run here.
+    """
+    from livlab.model.tracer.rig import photograph_tissue_sphere
+
+    started = time.perf_counter()
+    values, errors = photograph_tissue_sphere(
+        _view(rig.camera),
+        [_lamp(x) for x in rig.lights],
+        rig.sphere.centre_mm,
+        rig.sphere.radius_mm,
+        stack,
+        samples=rig.samples_per_pixel,
+        seed=seed,
+        variant=f"{variant}_ad_spectral",
+        progress=progress,
+    )
+    dims, coords = ("light", "row", "column", "channel"), {"channel": stack.wavelength_nm}
+    about = {"units": "W m-2 sr-1", "long_name": "linear radiance; channels are wavelengths in nm"}
+    images = xr.DataArray(values, dims=dims, coords=coords, name="radiance", attrs=about)
+    variance = xr.DataArray(errors**2, dims=dims, coords=coords)
+    frame = outline(rig, seed=seed)
+    seconds = time.perf_counter() - started
+    return Photographs(images, rig.camera, rig.lights, rig.sphere, frame, seconds, variance)
+
+
+def check_material(material: Mapping[str, Any]) -> None:
+    """See that a sphere of a material can be measured.
+
+    Raises
+    ------
+    InputError
+        Mitsuba does not know it, it lets light through, or it is a perfect mirror.
+    EnvironmentProblem
+        Mitsuba cannot run here.
+    """
+    from livlab.model.tracer.materials import load_material
+
+    load_material(material)
+
+
+def true_value(material: Mapping[str, Any], wi: FloatArray, wo: FloatArray) -> FloatArray:
+    """(n, channel) the BRDF that pictures of a material should show, 1/sr; see `tracer.materials.evaluate`."""
+    from livlab.model.tracer.materials import evaluate
+
+    return evaluate(material, wi, wo)
 
 
 def outline(rig: SphereRig, *, samples: int = 256, seed: int = 0) -> xr.DataArray | None:

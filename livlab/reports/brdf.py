@@ -114,8 +114,8 @@ def _lobes(run: RunData, pictures: Pictures) -> Section:
             pictures.add(
                 f"lobes-{k + 1}",
                 drawn.lobes(run.result.isel(material=k)),
-                f"{name}: means of the samples within 1° of each incidence and 2° of its plane, in bins of 2°; minus: "
-                "on the light's side. Lines: the material's own values and the fit at the same samples.",
+                f"{name}: means of the samples within 0.5° of each incidence and 1.5° of its plane, in bins of 2°; "
+                "minus: on the light's side. Lines: the material itself and the fit.",
             )
         )
     return section
@@ -133,8 +133,7 @@ def _fits(run: RunData) -> Section:
             "against the material's own parameter.",
         )
     )
-    warnings = table["warning"].dropna().unique() if "warning" in table else []
-    for text in warnings:
+    for text in table["warning"].dropna().unique() if "warning" in table else ():
         section.content.append(Text(str(text)))
     return section
 

@@ -36,10 +36,10 @@ def half_angle_maps(result: xr.Dataset, names: list[str], dim: str) -> Figure:
         for ax in axes.flat[len(names) :]:
             ax.set_visible(False)
         for ax in axes[:, 0]:
-            ax.set_ylabel("θ_d [deg]")
+            ax.set_ylabel(r"$\theta_d$ [deg]")
         for k in range(columns):
             below = [axes[r, k] for r in range(rows) if axes[r, k].get_visible()]
-            below[-1].set_xlabel("θ_h [deg]")
+            below[-1].set_xlabel(r"$\theta_h$ [deg]")
             below[-1].tick_params(labelbottom=True)
         if shown is not None:
             figure.colorbar(shown, ax=list(axes.flat), label="rms error [%]", shrink=0.85, pad=0.02)
@@ -51,7 +51,7 @@ def lobes(result: xr.Dataset) -> Figure:
     incidences = result["incidence"].to_numpy()
     columns = min(3, len(incidences))
     rows = -(-len(incidences) // columns)
-    theta = result["theta"].to_numpy()
+    line = result["line"].to_numpy()
     channels = [str(c) for c in result["channel"].values]
     values = result["measured"].to_numpy()
     known = values[np.isfinite(values) & (values > 0)]
@@ -65,14 +65,14 @@ def lobes(result: xr.Dataset) -> Figure:
                 tone = colour(CHANNEL_COLOURS.get(channel, c))
                 first = k == 0
                 true = part["true"].isel(channel=c).to_numpy()
-                ax.plot(theta, true, color=tone, lw=1.0, label=f"{channel}: bsdf.eval" if first else None)
+                ax.plot(line, true, color=tone, lw=1.0, label=f"{channel}: bsdf.eval" if first else None)
                 ax.plot(
-                    theta, part["measured"].isel(channel=c).to_numpy(), color=tone, ls="none",
+                    part["at_theta"], part["measured"].isel(channel=c), color=tone, ls="none",
                     marker=MARKERS[c], ms=3.2, label=f"{channel}: samples" if first else None,
                 )  # fmt: skip
                 fitted = part["fitted"].isel(channel=c).to_numpy()
                 if np.isfinite(fitted).any():
-                    ax.plot(theta, fitted, color=tone, ls=DASHES[3], lw=1.6, label=f"{channel}: fit" if first else None)
+                    ax.plot(line, fitted, color=tone, ls=DASHES[3], lw=1.6, label=f"{channel}: fit" if first else None)
             ax.axvline(float(angle), color=MUTED, lw=0.8, ls=(0, (2, 3)))
             ax.set_title(f"light at {angle:g}°")
             ax.set(xlim=(-90, 90), xticks=[-60, 0, 60])
@@ -81,7 +81,7 @@ def lobes(result: xr.Dataset) -> Figure:
         if not wide and known.size:
             for ax in axes.flat:
                 ax.set_ylim(0, 1.15 * known.max())
-        _finish(figure, axes, len(incidences), "eye θ_o [deg]", "BRDF [1/sr]")
+        _finish(figure, axes, len(incidences), r"eye $\theta_o$ [deg]", "BRDF [1/sr]")
         return figure
 
 
@@ -107,7 +107,9 @@ def cuts(result: xr.Dataset, scan: str) -> Figure:
                     [np.nanmax(result["cut_goniometer"].isel(at)), np.nanmax(result["cut_sphere"].isel(at))]
                 )
                 ax.set_ylim(0, 1.3 * top)
-        label = "eye θ_o [deg], minus: on the light's side" if scan == "incidence" else "light and eye at θ [deg]"
+        label = (
+            r"eye $\theta_o$ [deg], minus: on the light's side" if scan == "incidence" else "light and eye at θ [deg]"
+        )
         _finish(figure, axes, len(readings) * len(wavelengths), label, "BRDF [1/sr]")
         return figure
 

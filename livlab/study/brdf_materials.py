@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.brdf_cuts import half_angle_map, lobes
-from livlab.acquire.brdf_pictures import sheet
 from livlab.acquire.pose import sphere_pose
-from livlab.acquire.sphere_rig import Photographs, photograph
+from livlab.acquire.sphere_rig import Photographs, check_material, photograph, true_value
 from livlab.brdf.grid import Grid
 from livlab.brdf.sphere import extract
 from livlab.brdf.table import merge
 from livlab.config_brdf import BrdfCriterion, BrdfExperiment, MaterialSpec
 from livlab.criteria import Claim
+from livlab.study.brdf_cuts import Evaluate, half_angle_map, lobes
+from livlab.study.brdf_pictures import sheet
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ class Measured:
     samples: xr.Dataset
     truth: FloatArray
     fit: Any = None
-    fitted: FloatArray | None = None
     seconds: float = 0.0
 
     @property
@@ -54,11 +53,10 @@ class Measured:
 
 def prepare_materials(config: BrdfExperiment) -> Callable[[Run], None]:
     """Check every material and model, then the job."""
-    from livlab.acquire.brdf_fits import known_model
-    from livlab.model.tracer.materials import load_material
-
+    if any(m.fit for m in config.material):
+        from livlab.study.brdf_fits import known_model
     for spec in config.material:
-        load_material(spec.bsdf)
+        check_material(spec.bsdf)
         if spec.fit is not None:
             known_model(spec.fit, spec.true)
     return lambda run: _work(run, config)
@@ -66,9 +64,8 @@ def prepare_materials(config: BrdfExperiment) -> Callable[[Run], None]:
 
 def _work(run: Run, config: BrdfExperiment) -> None:
     from livlab.llvm import choose_libllvm
-    from livlab.model.tracer.materials import RIG_VARIANT
 
-    run.info |= {"variant": RIG_VARIANT, "libllvm": choose_libllvm().name}
+    run.info |= {"variant": "llvm_ad_rgb", "libllvm": choose_libllvm().name}
     run.progress.begin([m.name for m in config.material])
     costs: list[dict[str, object]] = []
     tables: dict[str, list[dict[str, object]]] = {"samples": [], "fits": [], "poses": [], "pictures": []}
@@ -95,7 +92,7 @@ def _work(run: Run, config: BrdfExperiment) -> None:
 
 
 def _fit_columns() -> tuple[str, ...]:
-    from livlab.acquire.brdf_fits import COLUMNS
+    from livlab.study.brdf_fits import COLUMNS
 
     return ("material", "pose", *COLUMNS)
 
@@ -108,9 +105,6 @@ def _one(
     tables: dict[str, list[dict[str, object]]],
 ) -> dict[str, Measured]:
     """Photograph one material and read it twice."""
-    from livlab.acquire.brdf_fits import fit_rows, fit_samples
-    from livlab.model.tracer.materials import evaluate
-
     rig = config.rig.build()
     count = len(rig.lights)
 
@@ -136,11 +130,13 @@ def _one(
             max_angle=float(np.radians(config.max_angle_deg)), empty_lights="skip",
         )  # fmt: skip
         taken = time.perf_counter()
-        truth = evaluate(spec.bsdf, samples["wi"].to_numpy(), samples["wo"].to_numpy())
+        truth = true_value(spec.bsdf, samples["wi"].to_numpy(), samples["wo"].to_numpy())
         part = made[pose] = Measured(samples, truth)
         fitting = time.perf_counter()
         if spec.fit is not None:
-            part.fit, part.fitted = fit_samples(samples, spec.fit, seed=config.seed)
+            from livlab.study.brdf_fits import fit_rows, fit_samples
+
+            part.fit = fit_samples(samples, spec.fit, seed=config.seed)
             tables["fits"] += [
                 {"material": spec.name, "pose": pose, **row} for row in fit_rows(part.fit, spec.fit, spec.true)
             ]
@@ -201,8 +197,10 @@ def _summary(part: Measured) -> dict[str, object]:
 def _lobes(config: BrdfExperiment, spec: MaterialSpec, parts: dict[str, Measured]) -> xr.Dataset:
     """What the report draws of a material, from the pictures with the known pose."""
     part = parts["known"]
-    others = {"true": part.truth} | ({} if part.fitted is None else {"fitted": part.fitted})
-    made = lobes(part.samples, others, config.lobes_deg)
+    lines: dict[str, Evaluate] = {"true": lambda wi, wo: true_value(spec.bsdf, wi, wo)}
+    if part.fit is not None:
+        lines["fitted"] = lambda wi, wo: part.fit.evaluate(wi, wo).to_numpy()
+    made = lobes(part.samples, lines, config.lobes_deg)
     if "fitted" not in made:
         made["fitted"] = xr.full_like(made["true"], np.nan)
     return xr.merge([made, half_angle_map(part.samples, part.error)])
@@ -222,13 +220,14 @@ def _judge(config: BrdfExperiment, c: BrdfCriterion, found: dict[tuple[str, str]
             name = f"seconds of extraction and fit {spec.name}, {c.pose} pose"
             value = part.seconds
         elif c.metric == "parameter error" and part.fit is not None:
-            true = spec.true.get(str(c.parameter))
-            if true is None or true == 0:
-                if c.of == "all":
-                    continue
-                claims.append(Claim.missing(name, "the material's true value is not given"))
+            from livlab.study.brdf_fits import relative_error
+
+            found_error = relative_error(part.fit, spec.true, str(c.parameter))
+            if found_error is None:
+                if c.of != "all":
+                    claims.append(Claim.missing(name, "the material's true value is not given"))
                 continue
-            value = part.fit.value(str(c.parameter)) / true - 1.0
+            value = found_error
         else:
             if c.of == "all":
                 continue

@@ -29,9 +29,9 @@ def prepare(config: BrdfExperiment) -> Callable[[Run], None]:
         Mitsuba cannot run here.
     """
     if config.tissue is None:
-        from livlab.acquire.brdf_materials import prepare_materials
+        from livlab.study.brdf_materials import prepare_materials
 
         return prepare_materials(config)
-    from livlab.acquire.brdf_liver import prepare_liver
+    from livlab.study.brdf_liver import prepare_liver
 
     return prepare_liver(config)
