@@ -64,6 +64,8 @@ class Lobe:
         Parameter that multiplies the lobe, or None.
     square
         Kernel of a further term that goes with the square of the scale (Oren–Nayar's interreflection), or None.
+    quick
+        Makes a kernel for searches, within 1e-3, from the values that stay and the bounds of alpha; or None.
     reciprocal
         Whether swapping wi and wo changes nothing.
     domain
@@ -80,6 +82,7 @@ class Lobe:
     domain: str
     reciprocal: bool = True
     square: Kernel | None = None
+    quick: Callable[[Values, float, float], Kernel] | None = None
     renames: Mapping[str, str] = field(default_factory=dict)
 
     def renamed(self, suffix: str) -> Lobe:
@@ -226,6 +229,22 @@ def _plastic_base(distribution: int) -> Kernel:
     return run
 
 
+def _quick_plastic_base(distribution: int) -> Callable[[Values, float, float], Kernel]:
+    def prepare(held: Values, low: float, high: float) -> Kernel:
+        from livlab.brdf.models_coating import quick_coating, quick_value
+        from livlab.brdf.models_kernels import table_product
+
+        coefficients = quick_coating(held["eta"], distribution, low, high)
+
+        def run(at: Cosines, v: Values, out: FloatArray) -> None:
+            table, inside = quick_value(coefficients, v["alpha"], low, high)
+            table_product(at.i, at.o, table, 1.0 / (np.pi * v["eta"] ** 2 * (1.0 - inside)), out)
+
+        return run
+
+    return prepare
+
+
 # The codes of models_kernels, repeated so that listing models needs no compiler.
 _MIRROR, _DIELECTRIC, _CONDUCTOR, _SCHLICK = range(4)
 _GGX, _BECKMANN = range(2)
@@ -336,6 +355,7 @@ LOBES: dict[str, Lobe] = {
             _plastic_base(_GGX),
             "kd",
             f"diffuse base under a rough dielectric coat (GGX), with what is reflected inside; {UPPER}",
+            quick=_quick_plastic_base(_GGX),
         ),
         Lobe(
             "plastic-base-beckmann",
@@ -344,6 +364,7 @@ LOBES: dict[str, Lobe] = {
             _plastic_base(_BECKMANN),
             "kd",
             f"the same under a Beckmann coat; {UPPER}",
+            quick=_quick_plastic_base(_BECKMANN),
         ),
     )
 }

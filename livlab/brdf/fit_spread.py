@@ -1,0 +1,186 @@
+"""How sure a BRDF fit is: covariance of dependent residuals, block bootstrap, effective number of samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from livlab.brdf.fit_problem import Problem
+from livlab.errors import InputError
+from livlab.optimise import Covariance, block_weights, covariance_of_residuals
+from livlab.units import FloatArray
+
+Resampling = Literal["auto", "lights", "tiles", "samples"] | None
+"""What the bootstrap draws: whole lights, patches of pictures, single samples, or nothing."""
+
+FEWEST_LIGHTS = 6
+"""Lights from which "auto" draws whole lights; fewer say too little about their own scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Uncertainties at the optimum.
+
+    Attributes
+    ----------
+    independent
+        Covariance as if all residuals were independent.
+    robust
+        Covariance with residuals that hang together within patches of 16 × 16 pixels (sandwich).
+    intervals
+        Bootstrap percentiles: lower, upper by parameter; empty without bootstrap.
+    resampled
+        What was drawn, in words.
+    effective
+        Number of independent residuals that scatter as these do.
+    """
+
+    independent: Covariance
+    robust: Covariance
+    intervals: pd.DataFrame
+    resampled: str
+    effective: float
+
+
+class Normal:
+    """Per-block normal equations: Jᵀr (blocks, k) and JᵀJ (blocks, k, k), for any labels of the samples."""
+
+    def __init__(self, problem: Problem, values: dict[str, float]) -> None:
+        names = list(problem.layout.space.names)
+        self.names = names
+        self.problem = problem
+        self.parts = []
+        residuals = problem.residuals(values)
+        for c, r in enumerate(residuals):
+            own, rows = problem.columns(values, c)
+            self.parts.append(([names.index(n) for n in own], rows, r))
+
+    def information(self) -> FloatArray:
+        """JᵀJ (k, k)."""
+        total = np.zeros((len(self.names), len(self.names)))
+        for index, rows, _ in self.parts:
+            total[np.ix_(index, index)] += np.einsum("an,bn->ab", rows, rows)
+        return total
+
+    def jacobian(self) -> dict[str, FloatArray]:
+        """Columns whose inner products are JᵀJ: its Cholesky-like root by eigenvalues, one short column each."""
+        eigen, vectors = np.linalg.eigh(self.information())
+        root = (vectors * np.sqrt(np.maximum(eigen, 0.0))) @ vectors.T
+        return {name: root[:, k] for k, name in enumerate(self.names)}
+
+    def scores(self, labels: np.ndarray) -> FloatArray:
+        """Jᵀr of each block (blocks, k)."""
+        found, index = np.unique(labels, return_inverse=True)
+        total = np.zeros((found.size, len(self.names)))
+        for own, rows, r in self.parts:
+            for k, row in zip(own, rows, strict=True):
+                total[:, k] += np.bincount(index, weights=row * r, minlength=found.size)
+        return total
+
+    def blocks(self, labels: np.ndarray) -> FloatArray:
+        """JᵀJ of each block (blocks, k, k)."""
+        found, index = np.unique(labels, return_inverse=True)
+        total = np.zeros((found.size, len(self.names), len(self.names)))
+        for own, rows, _ in self.parts:
+            for a, j in enumerate(own):
+                for b, k in enumerate(own[: a + 1]):
+                    part = np.bincount(index, weights=rows[a] * rows[b], minlength=found.size)
+                    total[:, j, k] += part
+                    if j != k:
+                        total[:, k, j] += part
+        return total
+
+
+def spread(
+    problem: Problem,
+    values: dict[str, float],
+    *,
+    resampling: Resampling,
+    replicates: int,
+    level: float,
+    seed: int,
+) -> Spread:
+    """Covariances, bootstrap and effective number of samples.
+
+    The bootstrap is the linear one: each replicate moves the optimum by one Gauss–Newton step of the reweighted normal
+    equations (Shao & Tu 1995, section 3.1.4 calls it one-step), since a full refit of each costs minutes.
+    """
+    normal = Normal(problem, values)
+    data = problem.data
+    count = sum(r.size for _, _, r in normal.parts)
+    rss = sum(float(np.einsum("n,n->", r, r)) for _, _, r in normal.parts)
+    variance = rss / max(count - len(normal.names), 1)
+    jacobian = normal.jacobian()
+    space = problem.layout.space
+    independent = covariance_of_residuals(jacobian, space, values, variance=variance)
+    scores = normal.scores(data.tile)
+    between = scores.T @ scores
+    scatter = {(a, b): float(between[j, k]) for j, a in enumerate(normal.names) for k, b in enumerate(normal.names)}
+    robust = covariance_of_residuals(jacobian, space, values, variance=1.0, scatter=scatter)
+    intervals, words = _bootstrap(normal, independent, values, resampling, replicates, level, seed)
+    return Spread(independent, robust, intervals, words, _effective(normal, data.tile, count, rss))
+
+
+def _effective(normal: Normal, tiles: np.ndarray, count: int, rss: float) -> float:
+    """Residuals over the design effect Σ_blocks (Σ r)² / Σ r² (Kish 1965), at least one; channels hang together too."""
+    _, index = np.unique(tiles, return_inverse=True)
+    together = np.sum([r for _, _, r in normal.parts], axis=0)
+    sums = max(float(np.sum(np.bincount(index, weights=together) ** 2)), float(np.sum(together**2)))
+    return count / max(sums / rss, 1.0) if rss > 0 else float(count)
+
+
+def _labels(problem: Problem, resampling: Resampling) -> tuple[np.ndarray, str]:
+    data = problem.data
+    lights = np.unique(data.light).size
+    if resampling == "auto":
+        resampling = "lights" if lights >= FEWEST_LIGHTS else "tiles"
+    if resampling == "lights":
+        if lights < 2:
+            raise InputError.of("bootstrap", "lights", "needs at least two lights", "Use tiles.")
+        return data.light, f"whole lights ({lights})"
+    if resampling == "tiles":
+        return data.tile, f"patches of 16 x 16 pixels ({np.unique(data.tile).size})"
+    return np.arange(data.size), f"single samples ({data.size})"
+
+
+def _bootstrap(
+    normal: Normal,
+    found: Covariance,
+    values: dict[str, float],
+    resampling: Resampling,
+    replicates: int,
+    level: float,
+    seed: int,
+) -> tuple[pd.DataFrame, str]:
+    empty = pd.DataFrame(columns=["lower", "upper"], dtype=float)
+    if resampling is None or replicates < 2 or not normal.names:
+        return empty, "not resampled"
+    labels, words = _labels(normal.problem, resampling)
+    space = found.space
+    inside = [normal.names.index(n) for n in found.matrix.index]
+    x = space.vector(values)
+    slopes = space.slopes(x)[inside] / space.unit[inside]  # dp/dt
+    scores = normal.scores(labels)[:, inside] * slopes
+    few = scores.shape[0] <= 4000
+    blocks = normal.blocks(labels)[:, inside][:, :, inside] * np.outer(slopes, slopes) if few else None
+    whole = normal.information()[np.ix_(inside, inside)] * np.outer(slopes, slopes)
+    rng = np.random.default_rng(seed)
+    t = np.array([space.by_name[n].inward(values[n]) for n in found.matrix.index])
+    moved = []
+    names = np.arange(scores.shape[0])
+    for _ in range(replicates):
+        weight = block_weights(names, rng)
+        information = whole if blocks is None else np.tensordot(weight, blocks, axes=1)
+        moved.append(t - np.linalg.pinv(information, rcond=1e-12, hermitian=True) @ (weight @ scores))
+    low, high = np.quantile(np.array(moved), [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    frame = pd.DataFrame(
+        {
+            "lower": [space.by_name[n].outward(float(v)) for n, v in zip(found.matrix.index, low, strict=True)],
+            "upper": [space.by_name[n].outward(float(v)) for n, v in zip(found.matrix.index, high, strict=True)],
+        },
+        index=found.matrix.index,
+    )
+    return frame, f"{words}, {replicates} replicates"
