@@ -6,7 +6,6 @@ without cosine; optionally `standard_error_NAME`, `light`, `row`, `column`, `pix
 `area`. Lines that start with # are comments.
 """
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -66,35 +65,38 @@ def read_csv(path: Path) -> xr.Dataset:
     DatasetError
         No such file, columns missing or unknown, a cell that is not a number, directions not of unit length.
     """
-    import pandas as pd
-
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        frame = pd.read_csv(io.StringIO(text), comment="#", skipinitialspace=True, float_precision="round_trip")
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {error.strerror}.", remedy="Check the path.") from error
-    except (ValueError, UnicodeError) as error:
-        raise DatasetError(f"Cannot read {path} as CSV: {error}.", remedy="docs/brdf.md names the columns.") from error
-    names = [str(name) for name in frame.columns]
+    except UnicodeError as error:
+        raise DatasetError(f"Cannot read {path} as text: {error}.", remedy="Save it as CSV in UTF-8.") from error
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    names = [name.strip() for name in lines[0].split(",")] if lines else []
     channels = [name.removeprefix("value_") for name in names if name.startswith("value_")]
     errors = [f"standard_error_{name}" for name in channels]
     known = {*VECTORS, *DEGREES, *EXTRA, *errors, *(f"value_{name}" for name in channels)}
     given = VECTORS if set(VECTORS) <= set(names) else DEGREES
     missing = [name for name in given if name not in names] + ([] if channels else ["value_NAME"])
     unknown = [name for name in names if name not in known]
-    if missing or unknown:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if missing or unknown or twice:
         what = f"lacks {', '.join(missing)}" if missing else f"has unknown columns {', '.join(unknown)}"
         raise DatasetError.of(
-            path.name, names, what, "Name the columns as docs/brdf.md does; values are in 1/sr, without cosine."
+            path.name,
+            names,
+            f"has {', '.join(twice)} twice" if twice else what,
+            "Name the columns as docs/brdf.md does; values are in 1/sr, without cosine.",
         )
-    for name in names:
-        bad = pd.to_numeric(frame[name], errors="coerce").isna() & ~_means_missing(frame[name])
-        if bad.any() or (not name.startswith(("value_", "standard_error_")) and frame[name].isna().any()):
-            row = int(np.flatnonzero(bad | frame[name].isna())[0])
-            raise DatasetError.of(
-                f"{path.name}, column {name}, sample {row + 1}", frame[name].iloc[row], "must be a number", "Mend it."
-            )
-    numbers = {name: pd.to_numeric(frame[name]).to_numpy(dtype=np.float64) for name in names}
+    if len(lines) < 2:
+        raise DatasetError.of(path.name, "no lines", "must hold at least one sample", "The file may be cut short.")
+    try:
+        cells = np.loadtxt(lines[1:], delimiter=",", ndmin=2, dtype=np.float64).reshape(-1, len(names))
+    except ValueError as error:
+        raise DatasetError(
+            f"{path.name} holds a cell that is not a number: {error}.", remedy="Rows are counted without comments."
+        ) from error
+    numbers = dict(zip(names, cells.T, strict=True))
     if given == VECTORS:
         wi = np.stack([numbers[name] for name in VECTORS[:3]], axis=1)
         wo = np.stack([numbers[name] for name in VECTORS[3:]], axis=1)
@@ -117,9 +119,3 @@ def read_csv(path: Path) -> xr.Dataset:
         )
     except ValueError as error:
         raise DatasetError(f"{path.name}: {error}") from error
-
-
-def _means_missing(column: object) -> npt.NDArray[np.bool_]:
-    import pandas as pd
-
-    return np.asarray(pd.Series(column).isna())
