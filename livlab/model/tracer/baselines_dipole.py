@@ -2,7 +2,8 @@
 
 Jensen, Marschner, Levoy & Hanrahan 2001, eq. 4, 5 (Nunes 2019, eq. 5.4, 5.5): L = F_t(v)/π ∫ R_d(|x_i − x_o|) E_t dA,
 E_t the irradiance that enters. A point x_i is found by a probe ray along one of three axes at a random distance from
-x_o, and weighed by the chance of all three to find it (King, Kulla, Conty & Fajardo 2013).
+x_o, and weighed by the chance of all three to find it (King, Kulla, Conty & Fajardo 2013). Distances are drawn from
+r R_d(r), the mean over the wavelengths: one draw serves them all.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from livlab.errors import InputError
 from livlab.model.tracer.baselines_light import member
+from livlab.model.transport.diffusion import dipole_profile
 from livlab.model.transport.fresnel import diffuse_fresnel
 from livlab.units import FloatArray
 
@@ -24,7 +26,10 @@ REACH = 16.0
 MOST_HITS = 32
 """Crossings of the surface that one probe follows."""
 
-AXES = (0.5, 0.25, 0.25)
+RADII = 512
+"""Distances at which the density that they are drawn from is tabulated."""
+
+AXES = (0.8, 0.1, 0.1)
 """Chance of a probe along the normal and along each of two tangents."""
 
 
@@ -85,9 +90,12 @@ class DipoleValues:
             depth = np.minimum(1.0 / effective, widest)
         reach = min(REACH * float(depth.max()), widest)
         self.reach = one(reach)
-        lengths = np.unique([float(x) for x in (*np.quantile(depth, [0.0, 0.5, 1.0]), *np.quantile(real, [0.0, 1.0]))])
-        self.lengths = [one(x) for x in lengths]
-        self.kept = [one(-math.expm1(-reach / x)) for x in lengths]
+        radius = reach * np.linspace(0.0, 1.0, RADII) ** 3
+        profile = [dipole_profile(radius, *x) for x in zip(absorption, reduced, optics.n, optics.n_above, strict=True)]
+        wanted = np.array([radius * x / np.trapezoid(radius * x, radius) for x in profile]).mean(axis=0)
+        self.radii = mi.IrregularContinuousDistribution(
+            mi.Float(radius.astype(np.float32)), mi.Float(wanted.astype(np.float32))
+        )
         ratio = np.asarray(optics.n) / np.asarray(optics.n_above)
         low, high = float(ratio.min()), float(ratio.max())
         self.ratios = (one(low), one(high))
@@ -127,7 +135,7 @@ class DipoleValues:
         u = sampler.next_1d()
         axis = dr.select(u < AXES[0], frame.n, dr.select(u < AXES[0] + AXES[1], frame.s, frame.t))
         across = mi.Frame3f(axis)
-        radius = self._radius(sampler.next_1d(), sampler.next_1d())
+        radius = self.radii.sample(sampler.next_1d(), active)
         turn = 2.0 * math.pi * sampler.next_1d()
         half = dr.safe_sqrt(self.reach**2 - radius**2)
         start = si.p + across.s * (radius * dr.cos(turn)) + across.t * (radius * dr.sin(turn)) + axis * half
@@ -171,16 +179,6 @@ class DipoleValues:
         *_, count, place, normal, facing = dr.while_loop(state, more, onwards, label="probe")
         return place, normal, facing, count
 
-    def _radius(self, which: Any, u: Any) -> Any:
-        """A distance from the mixture of exponentials, cut off at the reach."""
-        dr = self.dr
-        radius = self.mi.Float(0.0)
-        count = len(self.lengths)
-        for k, (length, kept) in enumerate(zip(self.lengths, self.kept, strict=True)):
-            mine = (which >= k / count) & (which < (k + 1) / count)
-            radius = dr.select(mine, -length * dr.log(1.0 - u * kept), radius)
-        return dr.minimum(radius, self.reach * (1.0 - 1e-6))
-
     def _density(self, si: Any, place: Any, normal: Any) -> Any:
         """Chance per area that a probe along any of the axes finds a place."""
         dr, mi = self.dr, self.mi
@@ -189,10 +187,7 @@ class DipoleValues:
         total = mi.Float(0.0)
         for chance, axis in zip(AXES, (mi.Vector3f(frame.n), frame.s, frame.t), strict=True):
             radius = dr.maximum(dr.norm(apart - axis * dr.dot(apart, axis)), 1e-7 * self.reach)
-            density = mi.Float(0.0)
-            for length, kept in zip(self.lengths, self.kept, strict=True):
-                density += dr.exp(-radius / length) / (length * kept)
-            density /= len(self.lengths) * 2.0 * math.pi * radius
+            density = self.radii.eval_pdf_normalized(dr.minimum(radius, self.reach)) / (2.0 * math.pi * radius)
             total += chance * density * dr.abs(dr.dot(normal, axis))
         return dr.maximum(total, 1e-30)
 
