@@ -131,4 +131,4 @@ def _copied(run: RunData, row: dict[str, Any], out: Path, name: str) -> Image:
     source = run.path / str(row["png"])
     target = f"images/{name}-{row['png']}"
     write_whole(out / target, source.read_bytes())
-    return Image(target, alt_text(run, row), caption(run, row), *png_size(source))
+    return Image(target, alt_text(run, row), caption(run, row, lit_by=True), *png_size(source))

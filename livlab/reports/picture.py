@@ -115,7 +115,7 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     several = table["tissue"].notna().any()
     frame = pd.DataFrame(
         {
-            **({"tissue": table["tissue"].fillna("own")} if several else {}),
+            **({"tissue": drawn.tissues(table, "own")} if several else {}),
             "reading": table["reading"],
             "route": table["route"],
             "sRGB": table["sRGB"],
@@ -129,7 +129,7 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     if len(differences):
         section.content.append(
             from_frame(
-                differences.assign(tissue=differences["tissue"].fillna("own"))
+                differences.assign(tissue=drawn.tissues(differences, "own"))
                 if several
                 else differences.drop(columns="tissue"),
                 "CIEDE2000 between the colour routes: of the mean colour, and over the lit body's pixels (noise "
@@ -144,13 +144,14 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     shown = run.table("pictures")
     if len(shown) and {"below_gamut", "above_white", "pixels"} <= set(shown.columns):
         worst = shown.iloc[int((shown["below_gamut"] + shown["above_white"]).to_numpy().argmax())]
-        section.content.append(
-            Text(
-                f"Colours that a screen cannot show were desaturated or clipped; most in {worst['png']}: "
-                f"{number(int(worst['below_gamut']))} of {number(int(worst['pixels']))} pixels are more saturated than "
-                f"sRGB, {number(int(worst['above_white']))} brighter than white. The EXR files hold all as it was."
+        if int(worst["below_gamut"]) + int(worst["above_white"]) > 0:
+            section.content.append(
+                Text(
+                    f"Colours that a screen cannot show were desaturated or clipped; most in {worst['png']}: "
+                    f"{number(int(worst['below_gamut']))} of {number(int(worst['pixels']))} pixels are more saturated "
+                    f"than sRGB, {number(int(worst['above_white']))} brighter than white. The EXR files hold all."
+                )
             )
-        )
     return section
 
 
@@ -171,7 +172,7 @@ def _absorption(run: RunData, pictures: Pictures) -> Section:
         several = optics["tissue"].notna().any()
         section.content.append(
             from_frame(
-                optics.assign(tissue=optics["tissue"].fillna("own")) if several else optics.drop(columns="tissue"),
+                optics.assign(tissue=drawn.tissues(optics, "own")) if several else optics.drop(columns="tissue"),
                 "What colour comes from: the parenchyma at the channels' middles. The reduced albedo is "
                 "µs'/(µa + µs'); a redirection keeps only the share shown of the light.",
                 titles={
@@ -203,7 +204,7 @@ def _error(run: RunData, pictures: Pictures) -> Section:
     if len(made):
         several = made["tissue"].notna().any()
         shown = made.assign(
-            tissue=made["tissue"].fillna("own"), relative_error=[f"{100 * e:.2f} %" for e in made["relative_error"]]
+            tissue=drawn.tissues(made, "own"), relative_error=[f"{100 * e:.2f} %" for e in made["relative_error"]]
         )
         names = [
             "reading",

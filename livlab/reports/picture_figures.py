@@ -20,6 +20,11 @@ def name_of(row: Any) -> str:
     return f"{tissue}, {row['reading']}" if isinstance(tissue, str) and tissue else str(row["reading"])
 
 
+def tissues(table: pd.DataFrame, own: str = "") -> pd.Series[str]:
+    """Names of the tissues; the run's own has none in the tables."""
+    return table["tissue"].astype(object).where(table["tissue"].notna(), own)
+
+
 def colours(table: pd.DataFrame) -> Figure:
     """Mean colours: a patch each, and a*, b* and L* with ±2 standard errors."""
     rows = [{str(k): v for k, v in r.items()} for r in table.to_dict("records")]
@@ -54,7 +59,7 @@ def absorption(table: pd.DataFrame) -> Figure:
     with style():
         figure = Figure(figsize=(7.4, 3.8))
         ax = figure.subplots()
-        whole = table[table["element"] == "all"].assign(tissue=table["tissue"].fillna(""))
+        whole = table[table["element"] == "all"].assign(tissue=tissues(table))
         grid = sorted(whole["wavelength_nm"].unique())
         merged = _merged(whole)
         for k, (label, values) in enumerate(merged):
@@ -92,7 +97,7 @@ def convergence(table: pd.DataFrame) -> Figure:
     with style():
         figure = Figure(figsize=(7.4, 3.6))
         ax = figure.subplots()
-        whole = table.assign(tissue=table["tissue"].fillna(""))
+        whole = table.assign(tissue=tissues(table))
         for k, ((tissue, reading), rows) in enumerate(whole.groupby(["tissue", "reading"], sort=False)):
             label = name_of({"tissue": tissue, "reading": reading})
             t, e = rows["seconds"].to_numpy(), 100 * rows["error"].to_numpy()

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from livlab.reports.folder import RunData
-from livlab.reports.picture_figures import name_of
+from livlab.reports.picture_figures import name_of, tissues
 from livlab.reports.tables import number
 
 _LIGHTS = {
@@ -16,6 +16,11 @@ _LIGHTS = {
     "spot": "a spot",
     "directional": "parallel light",
     "environment": "light from all around",
+}
+ROUTES = {
+    "thesis": "the thesis's colour",
+    "stochastic": "colour from random wavelengths",
+    "cie": "colour of the CIE's observer",
 }
 _MODELS = {
     "lambert": "Lambert",
@@ -62,8 +67,8 @@ def _cost(run: RunData, row: dict[str, Any]) -> dict[str, Any]:
 def caption(run: RunData, row: dict[str, Any], *, lit_by: bool = False) -> str:
     """Reading, colour route, samples, seconds and error of a picture."""
     if isinstance(row.get("baseline"), str):
-        return f"{_MODELS.get(row['baseline'], row['baseline'])}, {row['route']} colour"
-    text = f"{name_of(row)}; {row['route']} colour"
+        return str(_MODELS.get(row["baseline"], row["baseline"]))
+    text = f"{name_of(row)} reading; {ROUTES.get(str(row['route']), str(row['route']))}"
     if lit_by:
         text += f"; {lights(run)}"
     cost = _cost(run, row)
@@ -89,7 +94,7 @@ def alt_text(run: RunData, row: dict[str, Any]) -> str:
         if same.any():
             c = colours[same].iloc[0]
             words = f", {colour_words(float(c['L']), float(c['chroma']), float(c['hue']))} (mean {c['sRGB']})"
-    return f"{title}: rendering, {name_of(row)} reading, {row['route']} colour{words}"
+    return f"{title}: rendering, {name_of(row)} reading, {ROUTES.get(str(row['route']), str(row['route']))}{words}"
 
 
 def colour_words(lightness: float, chroma: float, hue: float) -> str:
@@ -147,7 +152,7 @@ def _why(optics: pd.DataFrame, reading: str, claim: str) -> str:
     """What the colour of a reading comes from, at the channels' middles, from red to blue."""
     if claim.startswith(("seconds", "memory", "relative error")):
         return ""
-    mine = optics[optics["reading"] == reading].assign(tissue=optics["tissue"].fillna(""))
+    mine = optics[optics["reading"] == reading].assign(tissue=tissues(optics))
     mine = mine.sort_values("wavelength_nm", ascending=False)
     told = []
     for tissue, rows in mine.groupby("tissue", sort=False):

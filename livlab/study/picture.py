@@ -124,11 +124,10 @@ def _work(run: Run, work: Work) -> None:
     keys = list(work.stacks)
     tasks = [label(key) for key in keys] + (["baselines"] if config.baselines else [])
     run.progress.begin([*tasks, *(["cost"] if config.cost else [])])
+    _note(run, work)
     films: dict[Key, Film] = {}
     for key in keys:
         stack = work.stacks[key]
-        for note in stack.notes:
-            run.note(f"{label(key)}: {note}")
         if key in work.plans:
             plan = work.plans[key]
             stack = plan.reduced.stack
@@ -152,6 +151,16 @@ def _work(run: Run, work: Work) -> None:
     write_tables(run, work, films, pictures)
     run.write_claims(claims)
     run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+
+
+def _note(run: Run, work: Work) -> None:
+    """Warnings of the stacks; what several pictures share is said once."""
+    by_text: dict[str, list[str]] = {}
+    for key, stack in work.stacks.items():
+        for text in stack.notes:
+            by_text.setdefault(text, []).append(label(key))
+    for text, names in by_text.items():
+        run.note(text if len(names) == len(work.stacks) > 1 else f"{'; '.join(names)}: {text}")
 
 
 def _name_device(run: Run, variant: str) -> None:
