@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from livlab.acquire.instruments import Instrument
 from livlab.acquire.readout import readout
-from livlab.errors import InputError
+from livlab.errors import InputError, LivlabError
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -23,6 +23,9 @@ from livlab.units import FloatArray
 if TYPE_CHECKING:
     from livlab.model.transport.geometry import Readout
     from livlab.model.transport.ledger import Detector, Ledger
+
+STEP = 1e-4
+"""Relative step of the differences of coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,24 +156,44 @@ class LedgerForward:
             raise InputError.of("ledger", None, "nothing is recorded yet", "Call record first.")
         size = len(self.wavelength_nm)
         value, variance, valid = np.zeros(size), np.zeros(size), np.ones(size, dtype=bool)
-        slopes = {name: np.zeros(size) for name in self.names} if gradient else {}
         at = {name: float(values[name]) for name in self.names}
         sets = fitted(self.ledger, self.stack(at))
+        by_absorption, by_scattering = np.zeros_like(sets.absorption), np.zeros_like(sets.absorption)
         for detector, weight in self._detectors():
-            if gradient:
-                found = self.ledger.gradient(self.stack, at, detector=detector)
-                some, error, good = (found[k].to_numpy() for k in ("value", "value_se", "valid"))
-                for name in self.names:
-                    slopes[name] += weight * found["gradient"].sel(parameter=name).to_numpy()
-            else:
-                got = self.ledger.answer(sets, detector)
-                some, error, good = got.value, got.standard_error, got.valid
-            value += weight * some
-            variance += (weight * error) ** 2
-            valid &= good
+            found = self.ledger.answer(sets, detector, gradient=gradient)
+            value += weight * found.value
+            variance += (weight * found.standard_error) ** 2
+            valid &= found.valid
+            by_absorption += weight * found.by_absorption
+            by_scattering += weight * found.by_scattering
         if self.readout.specular_weight:
             value += self.readout.specular_weight * specular(sets.index, self.readout.source)
+        slopes = {}
+        if gradient:
+            for name in self.names:
+                absorption, scattering = self._tangent(at, name)
+                slopes[name] = (by_absorption * absorption + by_scattering * scattering).sum(axis=1)
         return Response(value, np.sqrt(variance), valid, slopes)
+
+    def _tangent(self, at: Mapping[str, float], name: str) -> tuple[FloatArray, FloatArray]:
+        """(W, L) change of the coefficients with a parameter: a smooth function without chance, so differences do."""
+        from livlab.model.transport.ledger_tables import fitted
+
+        assert self.ledger is not None
+        h = STEP * abs(at[name]) if at[name] else STEP
+        ends = []
+        for step in (h, -h):
+            try:
+                ends.append((step, fitted(self.ledger, self.stack({**at, name: at[name] + step}))))
+            except LivlabError:  # the tissue ends here: a share of 0 or 1
+                ends.append((0.0, fitted(self.ledger, self.stack(at))))
+        (up, high), (down, low) = ends
+        width = up - down
+        if width == 0.0:
+            return np.zeros_like(high.absorption), np.zeros_like(high.absorption)
+        # Scattering acts by s (1 − g): a change of g is one of s.
+        turned = high.scattering * (high.anisotropy - low.anisotropy) / (1.0 - high.anisotropy)
+        return (high.absorption - low.absorption) / width, (high.scattering - low.scattering - turned) / width
 
     def _detectors(self) -> list[tuple[Detector, float]]:
         """What of the light that leaves counts, and how much."""

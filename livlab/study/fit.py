@@ -1,0 +1,369 @@
+"""Tissue parameters from measured curves: the search, fresh draws, and what the data hold.
+
+The forward model is a callable with common random numbers: between two recordings its answers are smooth, so that a
+gradient search works; each recording is another draw, so that what the parameters owe to chance can be told.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from livlab.errors import InputError, Interrupted, LivlabError
+from livlab.optimise import (
+    Covariance,
+    Identifiability,
+    OptimiseResult,
+    Parameter,
+    ParameterSpace,
+    covariance_of_residuals,
+    identifiability,
+    least_squares,
+)
+from livlab.study.fit_targets import Target
+from livlab.units import FloatArray
+
+MOST_RECORDINGS = 5
+"""Recordings after which a search that still moves is told as not settled."""
+
+SETTLED = 0.25
+"""Share of its standard deviation that a parameter may move from one recording to the next."""
+
+VALUE_TOLERANCE = 1e-6
+"""Relative change of the loss at which a search ends: far below what another draw changes."""
+
+CORNERS = 8
+"""Points of the box that a recording is to serve beside its centre."""
+
+
+class Answer(Protocol):
+    """What a forward model answers."""
+
+    @property
+    def value(self) -> FloatArray:
+        """(W,) the curve."""
+
+    @property
+    def standard_error(self) -> FloatArray:
+        """(W,) its Monte Carlo error."""
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(W,) whether it can be trusted."""
+
+    @property
+    def slopes(self) -> Mapping[str, FloatArray]:
+        """(W,) derivative by each parameter, if asked for."""
+
+
+class Forward(Protocol):
+    """A curve as a function of parameters, by common random numbers that `record` draws anew."""
+
+    def record(
+        self,
+        centre: Mapping[str, float],
+        others: Sequence[Mapping[str, float]] = (),
+        *,
+        seed: int = 1,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        """Draw anew about a centre, so that `others` are served too."""
+
+    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Answer:
+        """The curve at given values."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitOutcome:
+    """A finished fit.
+
+    Attributes
+    ----------
+    best, space
+        Every parameter's value by name, and the parameters.
+    searches
+        One result a recording, the last one first in trust.
+    drift
+        Change of each free parameter from the last recording but one to the last: what it owes to chance.
+    covariance
+        At the optimum, of the residuals; scaled by `residual_scale`.
+    residual_scale
+        Factor on the covariance: 1 where every σ is known (chi2), else what the residuals themselves show.
+    autocorrelation
+        Of neighbouring residuals; their scale counts fewer points where it is high.
+    verdict
+        What the data do not hold.
+    settled
+        Whether fresh draws moved no parameter by more than a share of its standard deviation.
+    loss, fresh_loss
+        Σ r² at the optimum, with the draws of the search and with fresh ones.
+    notes
+        Sentences that a report must show.
+    seconds
+        By stage.
+    """
+
+    best: dict[str, float]
+    space: ParameterSpace
+    searches: tuple[OptimiseResult, ...]
+    drift: dict[str, float]
+    covariance: Covariance
+    residual_scale: float
+    autocorrelation: float
+    verdict: Identifiability
+    settled: bool
+    loss: float
+    fresh_loss: float
+    notes: tuple[str, ...]
+    seconds: Mapping[str, float]
+    path: pd.DataFrame = field(repr=False)
+
+    def intervals(self, level: float = 0.95) -> pd.DataFrame:
+        """Lower, value, upper, sd, status by parameter; fixed ones have none."""
+        frame = self.covariance.intervals(level)
+        frame["sd"] = pd.Series(self.covariance.sd)
+        status = self.searches[-1].status
+        made = frame.reindex(list(self.best))
+        made["value"] = pd.Series(self.best)
+        made["status"] = pd.Series(status)
+        made["drift"] = pd.Series(self.drift)
+        made.index.name = "parameter"
+        return made
+
+
+class Problem:
+    """Residuals of all targets and their Jacobian, from a forward model; the last point is remembered."""
+
+    def __init__(self, forward: Forward, targets: Sequence[Target], space: ParameterSpace) -> None:
+        if not targets:
+            raise InputError.of("measurement", (), "at least one must be fitted", "Give one with role = 'fit'.")
+        self.forward, self.targets, self.space = forward, tuple(targets), space
+        self.errors: FloatArray | None = None
+        self._at: tuple[float, ...] | None = None
+        self._answer: Answer | None = None
+        self.evaluations = 0
+
+    def refresh(self) -> None:
+        """Forget what an older recording answered."""
+        self._at = None
+
+    def freeze_errors(self, values: Mapping[str, float]) -> None:
+        """Take the model's Monte Carlo error at one point for the whole search: σ must not move with the parameters."""
+        self.errors = np.array(self.answer(values).standard_error)
+
+    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Answer:
+        """The forward model's answer."""
+        key = tuple(values.values())
+        if self._at != key or self._answer is None or (gradient and not self._answer.slopes):
+            self._answer = self.forward.answer(values, gradient=gradient)
+            self._at = key
+            self.evaluations += 1
+        return self._answer
+
+    def residuals(self, values: Mapping[str, float]) -> FloatArray:
+        """(N,) residuals; nan where the forward model cannot answer."""
+        found = self.answer(values)
+        parts = []
+        for target in self.targets:
+            r = target.residuals(found.value, self.errors)
+            parts.append(r if found.valid[target.use].all() else np.full_like(r, np.nan))
+        return np.concatenate(parts)
+
+    def jacobian(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Derivative of the residuals by each parameter that the forward model knows."""
+        found = self.answer(values, gradient=True)
+        return {
+            name: np.concatenate([t.slope(found.value, along, self.errors) for t in self.targets])
+            for name, along in found.slopes.items()
+        }
+
+
+def fit(
+    forward: Forward,
+    targets: Sequence[Target],
+    parameters: Sequence[Parameter] | ParameterSpace,
+    *,
+    algorithm: str | tuple[str, ...] = "auto",
+    starts: int = 1,
+    seed: int = 1,
+    max_evaluations: int | None = None,
+    max_seconds: float = math.inf,
+    most_recordings: int = MOST_RECORDINGS,
+    progress: Callable[[str, float], None] | None = None,
+    stopping: Callable[[], bool] | None = None,
+) -> FitOutcome:
+    """Fit parameters to measured curves: record, search, record anew at the optimum, until fresh draws agree.
+
+    Parameters
+    ----------
+    forward
+        The forward model.
+    targets
+        Measured curves; the sum of their losses is minimised.
+    parameters
+        With bounds.
+    algorithm, starts, max_evaluations, max_seconds
+        As `livlab.optimise.minimise`, for the first search; later ones start from its optimum.
+    seed
+        Of the first recording; each later one has another.
+    most_recordings
+        Recordings, two at least, after which it ends unsettled.
+    progress
+        Called with a stage and its share done.
+    stopping
+        Asked after each evaluation whether the user wants to stop.
+
+    Raises
+    ------
+    Interrupted
+        The user wanted to stop.
+    InputError
+        No target, no free parameter, or an objective that is finite nowhere.
+    """
+    space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)
+    if not space.free:
+        raise InputError.of("parameter", space.names, "at least one must be free", "Give one low < high, not fixed.")
+    problem = Problem(forward, targets, space)
+    tell = progress or (lambda stage, share: None)
+    seconds: dict[str, float] = {"record": 0.0, "search": 0.0, "uncertainty": 0.0}
+    notes: list[str] = []
+    begun = time.perf_counter()
+
+    def record(values: Mapping[str, float], number: int, corners: Sequence[Mapping[str, float]]) -> None:
+        clock = time.perf_counter()
+        forward.record(values, corners, seed=seed + 1000 * number, progress=lambda s: tell("record", s))
+        problem.refresh()
+        problem.freeze_errors(values)
+        seconds["record"] += time.perf_counter() - clock
+
+    def watch(count: int, _values: Mapping[str, float], _value: float) -> bool:
+        tell("search", min(0.99, count / (count + 20.0)))
+        return not (stopping is not None and stopping())
+
+    at = space.values(space.vector({}))
+    served = corners(forward, space, seed)
+    record(at, 0, served)
+    searches: list[OptimiseResult] = []
+    losses: list[float] = []
+    drift: dict[str, float] = {}
+    settled = False
+    spread: Covariance | None = None
+    scale = correlation = math.nan
+    for number in range(most_recordings):
+        clock = time.perf_counter()
+        options: dict[str, Any] = {"algorithm": algorithm, "starts": starts} if not searches else {"starts": [at]}
+        found = least_squares(
+            problem.residuals,
+            space,
+            jacobian=problem.jacobian,
+            seed=seed,
+            max_evaluations=max_evaluations,
+            max_seconds=max(1.0, max_seconds - (time.perf_counter() - begun)),
+            value_tolerance=VALUE_TOLERANCE,
+            warn=False,
+            callback=watch,
+            **options,
+        )
+        seconds["search"] += time.perf_counter() - clock
+        if found.interrupted or (stopping is not None and stopping()):
+            raise Interrupted("The fit was stopped.", remedy="Give the same command again.")
+        searches.append(found)
+        if searches[1:]:
+            drift = {p.name: found.best[p.name] - at[p.name] for p in space.free}
+        at = found.best
+        losses.append(2.0 * found.value)
+        clock = time.perf_counter()
+        scale, correlation = _scale(problem, at, space)
+        spread = covariance_of_residuals(problem.jacobian(at), space, at, variance=scale)
+        seconds["uncertainty"] += time.perf_counter() - clock
+        if drift:
+            settled = all(_small(drift[p.name], spread.sd.get(p.name, math.inf)) for p in space.free)
+            if settled:
+                break
+        if number + 1 < most_recordings:
+            record(at, number + 1, served)
+    assert spread is not None
+    notes += list(dict.fromkeys(s for s in searches[-1].warnings))
+    if not settled and drift:
+        notes.append(
+            f"After {len(searches)} recordings the optimum still moves by more than {SETTLED:g} of a standard "
+            "deviation: ask for a smaller standard error of the forward model."
+        )
+    fresh = _fresh_loss(problem, searches, at)
+    return FitOutcome(
+        at,
+        space,
+        tuple(searches),
+        drift,
+        spread,
+        scale,
+        correlation,
+        identifiability(spread),
+        settled,
+        losses[-1],
+        fresh,
+        tuple(notes),
+        seconds,
+        pd.concat([s.path.assign(recording=k) for k, s in enumerate(searches)], ignore_index=True),
+    )
+
+
+def corners(forward: Forward, space: ParameterSpace, seed: int) -> list[dict[str, float]]:
+    """Points of the box at which the tissue holds together, for a recording to serve: its corners by chance."""
+    rng = np.random.default_rng(seed)
+    stack = getattr(forward, "stack", None)
+    found: list[dict[str, float]] = []
+    finite = np.isfinite(space.low) & np.isfinite(space.high)
+    for _ in range(8 * CORNERS):
+        side = rng.random(len(space.free)) < 0.5
+        values = space.values(np.where(finite, np.where(side, space.low, space.high), space.start))
+        try:
+            if stack is not None:
+                stack(values)
+        except LivlabError:
+            continue
+        found.append(values)
+        if len(found) == CORNERS:
+            break
+    return found
+
+
+def _small(change: float, sd: float) -> bool:
+    return abs(change) <= SETTLED * sd or not math.isfinite(sd)
+
+
+def _scale(problem: Problem, at: Mapping[str, float], space: ParameterSpace) -> tuple[float, float]:
+    """Variance of one residual, and the neighbours' correlation of the residuals.
+
+    With every σ known it is 1. Else the residuals show their own size. Where neighbours are alike, only
+    n_e = n (1 − ρ)/(1 + ρ) of n count (Bartlett 1935, first order): Σ r²/n · n_e/(n_e − p) each, and n/n_e times that
+    for what they say together.
+    """
+    r = problem.residuals(at)
+    if all(t.loss == "chi2" for t in problem.targets):
+        return 1.0, _neighbours(r)
+    correlation = _neighbours(r)
+    held = max(correlation, 0.0)
+    count = max(len(r) * (1.0 - held) / (1.0 + held), len(space.free) + 1.0)
+    return float(r @ r) / max(count - len(space.free), 1.0), correlation
+
+
+def _neighbours(r: FloatArray) -> float:
+    if len(r) < 3 or not float(r @ r) > 0:
+        return 0.0
+    return float(np.clip(np.sum(r[1:] * r[:-1]) / np.sum(r * r), -0.99, 0.99))
+
+
+def _fresh_loss(problem: Problem, searches: Sequence[OptimiseResult], at: Mapping[str, float]) -> float:
+    """Σ r² that the last recording gave at the optimum of the one before: the draws did not shape that point."""
+    if len(searches) < 2:
+        return math.nan
+    r = problem.residuals(searches[-2].best)
+    return float(r @ r)
