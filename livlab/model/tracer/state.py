@@ -1,0 +1,92 @@
+"""What a lane carries from step to step; () stands for what a scene does not need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass
+class Ledger:
+    """What a path did, as far as its density at other wavelengths depends on it.
+
+    Attributes
+    ----------
+    lengths
+        Path in each layer.
+    counts
+        Meetings in each layer that scatters alike at all wavelengths.
+    rows
+        Σ ln density of all that differs from wavelength to wavelength otherwise, a value a wavelength.
+    forced
+        Layer in which the path was made to survive, the number of layers for none.
+    first
+        Row of Fresnel's table that the first surface was met with, where it differs by wavelength.
+    common
+        Weight that is the same for all wavelengths.
+    carried
+        Reflectance of other objects met, a value a wavelength.
+    """
+
+    lengths: Any
+    counts: Any
+    rows: Any
+    forced: Any
+    first: Any
+    common: Any
+    carried: Any
+
+
+@dataclass
+class Place:
+    """Where a path is with respect to the surface of its body.
+
+    Attributes
+    ----------
+    depth, inward
+        Depth below the surface and the direction in which it grows, both as if the surface were flat.
+    trust
+        Path for which that holds.
+    clear
+        Path within which no point of the surface can be.
+    since
+        Path from the last draw.
+    """
+
+    depth: Any
+    inward: Any
+    trust: Any
+    clear: Any
+    since: Any
+
+
+@dataclass
+class State:
+    """A lane: its random numbers, its place in the picture, and the path it follows.
+
+    Attributes
+    ----------
+    row, turn
+        Row of the film, and which of the row's samples.
+    medium
+        0 outside, else the region of the tissue plus one.
+    fresh
+        The path is still the camera's own ray.
+    covered
+        Lights were asked for at the last scattering, so that a light met now was counted.
+    """
+
+    stream: Any
+    row: Any
+    turn: Any
+    hero: Any
+    medium: Any
+    p: Any
+    d: Any
+    place: Place
+    ledger: Ledger
+    fresh: Any
+    covered: Any
+    bounce: Any
+    steps: Any
+    troubles: Any
