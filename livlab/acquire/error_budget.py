@@ -17,6 +17,8 @@ import xarray as xr
 from livlab.acquire.outline import FloatArray
 from livlab.acquire.photographs import PhotographedRig
 from livlab.brdf.angles import local_frames
+from livlab.brdf.fit import FitResult, fit
+from livlab.brdf.fit_loss import LossName
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.rig import rig_of, rig_variables
 from livlab.brdf.samples import angles_of
@@ -101,7 +103,7 @@ def error_budget(
     part = samples.isel(sample=chosen)
     base = _finite(evaluate(part, points))
     told = progress or (lambda _: None)
-    rows = []
+    rows: list[dict[str, object]] = []
 
     def add(source: str, sd: Mapping[str, float], how: str) -> None:
         rows.extend({"quantity": q, "source": source, "sd": sd[q], "how": how} for q in base)
@@ -124,7 +126,8 @@ def error_budget(
     add("focal length", _focal(rig, evaluate, part, points, base), "finite differences")
     told("linearity")
     gamma_sd, how = _gamma_sd(rig)
-    bent = _half(evaluate, points, [_bent(part, 1 + sign * gamma_sd) for sign in (1, -1)])
+    absolute = bool(np.isfinite(rig.white_sd))
+    bent = _half(evaluate, points, [_bent(part, 1 + sign * gamma_sd, absolute=absolute) for sign in (1, -1)])
     add("linearity", {q: abs(v) for q, v in bent.items()}, how)
     told("noise")
     if rig.noise_known == "unknown":
@@ -149,6 +152,24 @@ def error_budget(
     else:
         add("white reference", dict.fromkeys(base, float("nan")), "none: known up to a factor")
     return _budget(rows, base, {q: ignored[q] - finer[q] for q in base}, len(chosen))
+
+
+def fitted(samples: xr.Dataset, which: str, loss: LossName) -> tuple[Evaluate, FitResult]:
+    """The parameters of a model as quantities, refitted from where a fit to all samples ended; and that fit."""
+    found = fit(samples, which, loss=loss, warn=False)
+    start = {
+        # One number where channels share a parameter: several would set them free.
+        name: found.values[labels[0]] if len(set(labels)) == 1 else [found.values[label] for label in labels]
+        for name, labels in found.layout.names.items()
+    }
+    free = [str(name) for name, row in found.table.iterrows() if row["status"] != "fixed"]
+
+    def evaluate(part: xr.Dataset, points: int) -> dict[str, float]:
+        footprint = points if points > 1 else None
+        again = fit(part, which, loss=loss, footprint=footprint, starts=1, start=start, bootstrap=None, warn=False)
+        return {name: again.values[name] for name in free}
+
+    return evaluate, found
 
 
 def moved(samples: xr.Dataset, camera: Camera, lights: Sequence[Light], sphere: Sphere) -> xr.Dataset:
@@ -245,11 +266,15 @@ def _gamma_sd(rig: PhotographedRig) -> tuple[float, str]:
     return UNTESTED_GAMMA_SD, f"exponent +- {UNTESTED_GAMMA_SD:g}, assumed"
 
 
-def _bent(samples: xr.Dataset, exponent: float) -> xr.Dataset:
+def _bent(samples: xr.Dataset, exponent: float, *, absolute: bool) -> xr.Dataset:
     geometry = _geometry(samples, *rig_of(samples))
     radiance = samples["value"].values * geometry.irradiance
-    top = np.nanmax(np.abs(radiance))
-    bent = np.sign(radiance) * top * (np.abs(radiance) / top) ** exponent
+    # A white target of the same light is bent along with the sphere; without one the mean level stays.
+    if absolute:
+        pivot = np.median(geometry.irradiance / np.maximum(geometry.cosine, 1e-9)[:, None], axis=0) / np.pi
+    else:
+        pivot = np.exp(np.mean(np.log(np.maximum(np.abs(radiance), 1e-12)), axis=0))
+    bent = np.sign(radiance) * pivot * (np.abs(radiance) / pivot) ** exponent
     out = samples.copy()
     out["value"] = (("sample", "channel"), bent / geometry.irradiance, samples["value"].attrs)
     return out

@@ -144,6 +144,7 @@ def extract_samples(
         index[k] = list(tally.values())
     for n, name in enumerate((*_COUNTS, "clipped")):
         samples[name] = ("light_index", index[:, n])
+    samples = _scaled(rig, samples)
     try:
         matte = rig.matte_linearity()
     except InputError:
@@ -163,6 +164,22 @@ def _spread(light: Any, count: int) -> Any:
     from dataclasses import replace
 
     return replace(light, intensity=np.broadcast_to(light.intensity, count).copy())
+
+
+def _scaled(rig: PhotographedRig, samples: xr.Dataset) -> xr.Dataset:
+    """Without a white reference the scale is free: it is set so that the brightest channel reflects a half on average.
+
+    A fit would otherwise run into the bounds of an albedo.
+    """
+    if np.isfinite(rig.white_sd):
+        return samples.assign_attrs(scale="absolute, by a white reference")
+    weight = np.cos(samples["theta_i"].values) * np.cos(samples["theta_o"].values)
+    mean = np.average(samples["value"].values, axis=0, weights=weight)
+    factor = 0.5 / np.pi / float(mean.max())
+    told = f"arbitrary: no white reference; multiplied by {factor:.6g} to a mean of 0.5/pi in the brightest channel"
+    return samples.assign(
+        value=samples["value"] * factor, standard_error=samples["standard_error"] * factor
+    ).assign_attrs(scale=told)
 
 
 def _stride(rig: PhotographedRig, most: int, max_angle: float) -> int:

@@ -184,7 +184,7 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
     everywhere = np.all([clipped for _, _, clipped in frames], axis=0)
     if everywhere.any():
         notes.append(
-            f"{everywhere.mean():.2%} of the pixels clip in every exposure: the shortest is too long for the highlight."
+            f"{int(everywhere.sum())} values clip in every exposure: the shortest is too long for the highlight."
         )
     finite = np.any([np.isfinite(x) for x, _, _ in frames], axis=0)
     return Merged(
@@ -200,7 +200,7 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
 def _alone(photograph: Photograph, exposure: float, development: Development) -> Merged:
     value, variance, clipped = development.linear(photograph, exposure)
     value = np.where(clipped, np.float32(np.nan), value / np.float32(exposure))
-    notes = (f"{clipped.mean():.2%} of the pixels are clipped.",) if clipped.any() else ()
+    notes = (f"{int(clipped.sum())} values are clipped and left out.",) if clipped.any() else ()
     lost = float(1 - np.isfinite(development.stored(photograph)).mean())
     return Merged(value, variance / np.float32(exposure**2), float(clipped.mean()), lost, (1.0,), notes)
 

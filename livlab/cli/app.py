@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from livlab import __version__
-from livlab.cli import cost, data, doctor, fractions, gallery, plan, run, stress
+from livlab.cli import brdf, cost, data, doctor, fractions, gallery, plan, run, stress
 from livlab.errors import LivlabError
 
 _REFUSED_BY_SYSTEM = {
@@ -30,6 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(data.app, name="data")
+brdf.register(app)
 doctor.register(app)
 run.register(app)
 plan.register(app)
