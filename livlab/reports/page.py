@@ -36,6 +36,7 @@ from livlab.runs_files import told_plainly, write_whole
 ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
 BODIES = {
+    "fit": "livlab.reports.fit:fit_sections",
     "optics": "livlab.reports.optics:sections",
     "brdf": "livlab.reports.brdf:brdf_sections",
     "spectral": "livlab.reports.page:spectral_sections",
