@@ -21,7 +21,11 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
     curves = Section("curves", "The curves, and what the fit makes of them")
     curves.content.extend(
         [
-        pictures.add("fit-curves", draw.curves(result), "Measured and fitted curves as they were compared."),
+        pictures.add(
+                "fit-curves",
+                draw.curves(result),
+                "Measured and fitted curves as they were compared; shaded: ±2σ of the measurement.",
+            ),
         from_frame(
             run.table("scores"),
             "RMSE and Pearson's correlation of the compared curves, fitted and at the start.",
@@ -35,7 +39,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
         [
             Text(_verdict(run, found)),
             from_frame(
-                found,
+                found.assign(drift=found["drift"].where(found["drift"].abs() > 1e-9 * found["value"].abs(), 0.0)),
                 f"Fitted values with {level:.0%} intervals, normal in the transformed parameter. At a bound there is "
                 "none.",
                 titles=_HEADINGS,

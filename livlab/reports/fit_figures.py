@@ -25,7 +25,7 @@ def curves(result: xr.Dataset) -> Figure:
             role = "fitted" if str(part["role"].item()) == "fit" else "not seen by the fit"
             top.plot(x, data, color=INK, marker="o", ms=3, lw=1.4, label="measured")
             if np.isfinite(sigma).any():
-                low.fill_between(x, -2 * sigma, 2 * sigma, color=MUTED, alpha=0.25, lw=0, label="±2σ of the data")
+                low.fill_between(x, -2 * sigma, 2 * sigma, color=MUTED, alpha=0.25, lw=0)
             top.plot(x, start, color=colour(1), ls=(0, (2, 2)), lw=1.2, label="model at the start")
             top.plot(x, model, color=colour(0), lw=2, label="model fitted")
             low.axhline(0, color=INK, lw=0.8)
@@ -35,8 +35,6 @@ def curves(result: xr.Dataset) -> Figure:
             low.set_ylabel("residual")
             if k == 0:
                 top.legend(loc="upper left", ncols=1)
-                if np.isfinite(sigma).any():
-                    low.legend(loc="upper left")
         axes[-1].set_xlabel("wavelength [nm]")
         figure.align_ylabels(list(axes))
         return figure
@@ -100,7 +98,7 @@ def correlation(table: pd.DataFrame) -> Figure:
     matrix = table[names].to_numpy(dtype=float)
     with style():
         size = 1.6 + 0.62 * len(names)
-        figure = Figure(figsize=(size + 1.4, size))
+        figure = Figure(figsize=(size + 2.2, size))
         ax = figure.subplots()
         ax.imshow(matrix, vmin=-1, vmax=1, cmap="PuOr")
         for i in range(len(names)):

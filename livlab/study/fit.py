@@ -36,6 +36,9 @@ MOST_RECORDINGS = 5
 SETTLED = 0.25
 """Share of its standard deviation that a parameter may move from one recording to the next."""
 
+TINY = 1e-4
+"""Share of its box below which a parameter's move is none, however well the data hold it."""
+
 VALUE_TOLERANCE = 1e-6
 """Relative change of the loss at which a search ends: far below what another draw changes."""
 
@@ -253,6 +256,7 @@ def fit(
     searches: list[OptimiseResult] = []
     losses: list[float] = []
     drift: dict[str, float] = {}
+    moved: dict[str, float] = {}
     settled = False
     spread: Covariance | None = None
     scale = correlation = math.nan
@@ -277,6 +281,7 @@ def fit(
         searches.append(found)
         if searches[1:]:
             drift = {p.name: found.best[p.name] - at[p.name] for p in space.free}
+            moved = dict(zip(space.names, space.vector(found.best) - space.vector(at), strict=True))
         at = found.best
         losses.append(2.0 * found.value)
         clock = time.perf_counter()
@@ -284,7 +289,9 @@ def fit(
         spread = covariance_of_residuals(problem.jacobian(at), space, at, variance=scale)
         seconds["uncertainty"] += time.perf_counter() - clock
         if drift:
-            settled = all(_small(drift[p.name], spread.sd.get(p.name, math.inf)) for p in space.free)
+            settled = all(
+                abs(moved[name]) <= TINY or _small(drift[name], spread.sd.get(name, math.inf)) for name in space.names
+            )
             if settled:
                 break
         if number + 1 < most_recordings:
