@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from livlab.acquire.sphere_rig import SphereRig
 
 Angle = Annotated[float, Field(ge=0.0, lt=90.0)]
+Place = Annotated[tuple[float, float], Field(strict=False)]
 REFERENCE = "nunes2017_brdf"
 """Dataset of the measured BRDF that the thesis compares with; nobody has it as numbers until a user adds it."""
 
@@ -33,7 +34,7 @@ class RigLights(Section):
     last_deg: float = Field(130.0, ge=0.0, le=170.0, description="arc: last angle.")
     azimuth_deg: float = Field(0.0, description="arc: its azimuth about the camera's axis, 0 to the camera's right.")
     angle_deg: float = Field(45.0, ge=0.0, le=170.0, description="ring: its angle.")
-    list_deg: tuple[tuple[float, float], ...] = Field((), strict=False, description="list: [angle, azimuth] of each.")
+    list_deg: tuple[Place, ...] = Field((), strict=False, description="list: [angle, azimuth] of each.")
     distance_radii: float | Literal["infinite"] = Field(
         10.0, description="Distance from the sphere's centre in radii, or 'infinite'."
     )

@@ -126,28 +126,47 @@ def _fits(run: RunData) -> Section:
     table = run.table("fits")
     if not len(table):
         return section
-    section.content.append(
-        from_frame(
-            _spelled(table),
-            "Parameters with 95 % intervals; the loss is stated since it moves a fitted parameter. Relative error: "
-            "against the material's own parameter.",
+    subject = "material" if "material" in table else "reading"
+    for (name, model, loss), part in table.groupby([subject, "model", "loss"], sort=False):
+        seconds = ", ".join(f"{number(float(x), 3)} s" for x in part["seconds"].drop_duplicates())
+        section.content.append(
+            from_frame(
+                _spelled(part),
+                f"{name}: {model}, loss {loss}; {seconds}.",
+                only=["pose", "parameter", "value", "95 % interval", "true", "relative error", "status"],
+                folded="" if subject == "reading" else f"{name}: {_range(part)}",
+            )
         )
-    )
-    for text in table["warning"].dropna().unique() if "warning" in table else ():
-        section.content.append(Text(str(text)))
+        for text in part["warning"].dropna().unique():
+            section.content.append(Text(f"{name}: {text}"))
     return section
 
 
-def _spelled(table: pd.DataFrame) -> pd.DataFrame:
-    """Fit rows with value and interval in one cell."""
-    shown = table.drop(columns=[c for c in ("warning", "low", "high") if c in table])
-    shown["95 % interval"] = [
-        f"{number(a)} … {number(b)}" if pd.notna(a) and pd.notna(b) else "–"
-        for a, b in zip(table["low"], table["high"], strict=True)
+def _range(part: pd.DataFrame) -> str:
+    """The largest relative error under each pose."""
+    said = [
+        f"{100 * rows['relative_error'].abs().max():.2g} % with the pose {'known' if pose == 'known' else 'found'}"
+        for pose, rows in part.groupby("pose", sort=False)
+        if rows["relative_error"].notna().any()
     ]
-    if "relative_error" in shown:
-        shown["relative_error"] = [f"{100 * x:+.3f} %" if pd.notna(x) else "–" for x in shown["relative_error"]]
-    return shown.dropna(axis="columns", how="all")
+    return "parameters within " + ", ".join(said) if said else "parameters"
+
+
+def _spelled(table: pd.DataFrame) -> pd.DataFrame:
+    """Fit rows with as many digits as the intervals are worth."""
+    rows = []
+    for row in table.to_dict("records"):
+        known = pd.notna(row["low"]) and pd.notna(row["high"])
+        rows.append(
+            {
+                **row,
+                "value": f"{row['value']:.6g}",
+                "95 % interval": f"{row['low']:.6g} to {row['high']:.6g}" if known else "–",
+                "relative error": f"{100 * row['relative_error']:+.4f} %" if pd.notna(row["relative_error"]) else "–",
+                "true": f"{row['true']:g}" if pd.notna(row["true"]) else None,
+            }
+        )
+    return pd.DataFrame(rows).dropna(axis="columns", how="all")
 
 
 def _cuts(run: RunData, pictures: Pictures) -> Section:

@@ -53,7 +53,7 @@ def lobes(result: xr.Dataset) -> Figure:
     rows = -(-len(incidences) // columns)
     line = result["line"].to_numpy()
     channels = [str(c) for c in result["channel"].values]
-    values = result["measured"].to_numpy()
+    values = np.concatenate([result[name].to_numpy().ravel() for name in ("measured", "true")])
     known = values[np.isfinite(values) & (values > 0)]
     wide = known.size > 0 and known.max() > 10 * np.quantile(known, 0.05)
     with style():

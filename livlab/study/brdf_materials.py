@@ -86,7 +86,7 @@ def _work(run: Run, config: BrdfExperiment) -> None:
     run.write_table("poses.csv", POSES, tables["poses"])
     run.write_table("fits.csv", _fit_columns(), tables["fits"])
     run.write_table("pictures.csv", ("material", "png", "exposure"), tables["pictures"])
-    run.write_table("costs.csv", COSTS, costs)
+    run.write_table("costs.csv", COSTS[:3], costs)
     run.write_claims(claims)
     run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
 
@@ -113,11 +113,7 @@ def _one(
         run.stop_if_asked()
 
     pictures = photograph(rig, spec.bsdf, seed=config.seed, progress=told)
-    rays = count * rig.camera.width * rig.camera.height * rig.samples_per_pixel
-    costs.append(
-        {"stage": "render", "subject": spec.name, "seconds": pictures.seconds, "samples": rays,
-         "samples_per_second": rays / pictures.seconds}
-    )  # fmt: skip
+    costs.append({"stage": "render", "subject": spec.name, "seconds": pictures.seconds})
     name, exposure = sheet(run, f"sphere-{len(tables['pictures']) + 1}.png", pictures.images)
     tables["pictures"].append({"material": spec.name, "png": name, "exposure": exposure})
     made = {}
@@ -143,7 +139,7 @@ def _one(
         done = time.perf_counter()
         part.seconds = taken - started + done - fitting
         for stage, seconds in (("pose", posed - started), ("extract", taken - posed), ("fit", done - fitting)):
-            if stage != "fit" or spec.fit is not None:
+            if (stage != "pose" or pose != "known") and (stage != "fit" or spec.fit is not None):
                 costs.append({"stage": stage, "subject": f"{spec.name}, {pose} pose", "seconds": seconds})
         tables["samples"].append({"material": spec.name, "pose": pose, **_summary(part)})
         run.stop_if_asked()
