@@ -17,6 +17,9 @@ Weighting = Literal["area", "inverse_variance", "uniform"]
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
 """A BRDF: directions wi and wo (n, 3) to values (n,) or (n, channel) in 1/sr without cosine."""
 
+CHUNK = 1 << 18
+"""Samples that are merged at once, so that what it takes on the way does not grow with them."""
+
 CONVENTIONS = {
     "kind": "BRDF table",
     "quantity": "bidirectional reflectance distribution function without the cosine",
@@ -81,13 +84,16 @@ def merge(
     """
     cells: _Cells | None = None
     limit = np.pi / 2 if max_angle is None else max_angle
-    for part in [samples] if isinstance(samples, xr.Dataset) else samples:
-        check_samples(part)
+    for batch in [samples] if isinstance(samples, xr.Dataset) else samples:
+        check_samples(batch.isel(sample=slice(0, 1)) if "sample" in batch.dims else batch)
         if cells is None:
-            cells = _Cells(grid or Grid.uniform(), part["channel"].values, weighting)
+            cells = _Cells(grid or Grid.uniform(), batch["channel"].values, weighting)
             if max_angle is None:
-                limit = float(part.attrs.get("max_angle_rad", np.pi / 2))
-        cells.add(part)
+                limit = float(batch.attrs.get("max_angle_rad", np.pi / 2))
+        for start in range(0, batch.sizes["sample"], CHUNK):
+            part = batch.isel(sample=slice(start, start + CHUNK))
+            check_samples(part)
+            cells.add(part)
     if cells is None or cells.empty:
         raise InputError.of("samples", "none", "must hold at least one sample", "Check the limits of the extraction.")
     return cells.table(limit)
