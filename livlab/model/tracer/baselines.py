@@ -88,7 +88,7 @@ def baseline_optics(stack: OpticalStack) -> BaselineOptics:
     absorption, reduced = reduced_coefficients(stack.layers[-1])
     return BaselineOptics(
         stack.wavelength_nm,
-        np.clip(adding_doubling(stack)["reflectance"].to_numpy(), 0.0, 1.0),
+        np.clip(adding_doubling(stack, tolerance=1e-4)["reflectance"].to_numpy(), 0.0, 1.0),
         absorption,
         reduced,
         stack.layers[-1].n,
