@@ -223,6 +223,8 @@ def _tiff(path: Path) -> Photograph:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
+        if not file.pages:
+            raise ValueError("no page")
         if len(file.pages) != 1:
             raise InputError.of(
                 "photograph", f"{path.name}: {len(file.pages)} pages", "must hold one picture", "Give one a file."
@@ -270,19 +272,28 @@ def _exr(path: Path) -> Photograph:
 def _raw(path: Path) -> Photograph:
     import rawpy
 
-    with rawpy.imread(str(path)) as raw:
-        check_size(path, raw.sizes.raw_width, raw.sizes.raw_height)
-        other = raw.other
-        values = raw.postprocess(
-            gamma=(1, 1),
-            no_auto_bright=True,
-            # Scaling to the brightest pixel would give every exposure a scale of its own.
-            adjust_maximum_thr=0.0,
-            output_bps=16,
-            user_wb=[1.0, 1.0, 1.0, 1.0],
-            output_color=rawpy.ColorSpace.raw,
-            demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
-            user_flip=0,
-        )
+    try:
+        with rawpy.imread(str(path)) as raw:
+            return _developed(path, raw)
+    except rawpy.LibRawError as error:
+        raise ValueError(error.args[0].decode() if isinstance(error.args[0], bytes) else str(error)) from error
+
+
+def _developed(path: Path, raw: Any) -> Photograph:
+    import rawpy
+
+    check_size(path, raw.sizes.raw_width, raw.sizes.raw_height)
+    values = raw.postprocess(
+        gamma=(1, 1),
+        no_auto_bright=True,
+        # Scaling to the brightest pixel would give every exposure a scale of its own.
+        adjust_maximum_thr=0.0,
+        output_bps=16,
+        user_wb=[1.0, 1.0, 1.0, 1.0],
+        output_color=rawpy.ColorSpace.raw,
+        demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+        user_flip=0,
+    )
+    other = raw.other
     exposure = Exposure(other.shutter_speed or None, other.iso_speed or None, other.aperture or None)
     return Photograph(path.name, values, 65535.0, exposure, True, ("demosaiced: neighbouring pixels share noise",))

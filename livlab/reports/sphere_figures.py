@@ -37,7 +37,8 @@ def sphere_figure(samples: xr.Dataset, predicted: FloatArray | None, lobes: xr.D
     pictured = {"row", "column", "light"} <= set(samples.coords) | set(samples.data_vars)
     rows = 2 if pictured else 1
     with style():
-        figure = Figure(figsize=(9.6, 4.0 * rows), facecolor="white")
+        figure = Figure(figsize=(10.4, 4.0 * rows), facecolor="white", layout="constrained")
+        figure.set_layout_engine("constrained", w_pad=0.12, h_pad=0.08)
         figure.suptitle(title, x=0.02, ha="left", fontsize=11, color=INK)
         grid = figure.add_gridspec(rows, 2)
         if pictured:
