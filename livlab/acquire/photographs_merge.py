@@ -21,6 +21,7 @@ SATURATION = 0.99
 """Share of full scale at and above which a stored value counts as clipped."""
 
 _DISAGREE = 0.05
+_LEAST_LEVEL = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,7 @@ class Merged:
     not_finite
         Share that a file gave as NaN or infinite.
     agreement
-        For each exposure the median ratio of its values to the merged ones, where both hold; NaN where none do.
+        For each exposure the median ratio of its values to those of the next shorter one; NaN where none compare.
     notes
         What a reader should know.
     """
@@ -180,7 +181,7 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
         variance = np.where(weights > 0, 1 / weights, np.nan)
     if development.noise is None:
         variance = np.full(variance.shape, np.nan)
-    agreement, notes = _agreement(frames, exposures, good, estimate)
+    agreement, notes = _agreement(frames, exposures, good)
     everywhere = np.all([clipped for _, _, clipped in frames], axis=0)
     if everywhere.any():
         notes.append(
@@ -209,20 +210,23 @@ def _agreement(
     frames: Sequence[tuple[Float32Array, Float32Array, NDArray[np.bool_]]],
     exposures: Sequence[float],
     good: Sequence[NDArray[np.bool_]],
-    estimate: Float32Array,
 ) -> tuple[tuple[float, ...], list[str]]:
-    shares, notes = [], []
-    for (x, _, _), t, use in zip(frames, exposures, good, strict=True):
-        both = use & (np.sum(good, axis=0) > 1) & (x > 0.05)
-        shares.append(float(np.median(x[both] / t / estimate[both])) if both.sum() > 50 else float("nan"))
+    """Ratios of each exposure to the next shorter one, where both hold."""
+    order = np.argsort(exposures)
+    shares = [float("nan")] * len(frames)
+    for i, j in itertools.pairwise(order):
+        both = good[i] & good[j] & (frames[i][0] > _LEAST_LEVEL)
+        if both.sum() > 50:
+            pair = frames[j][0][both] / exposures[j] / (frames[i][0][both] / exposures[i])
+            shares[j] = float(np.median(pair))
     off = [abs(s - 1) for s in shares if np.isfinite(s)]
-    if off and max(off) > _DISAGREE:
-        shown = ", ".join("-" if np.isnan(s) else f"{s:.3f}" for s in shares)
-        notes.append(
-            f"The exposures disagree ({shown} of the merged values): wrong exposure times, a light that flickers, "
-            "movement, stray light, a dark offset or a wrong response."
-        )
-    return tuple(shares), notes
+    if not off or max(off) <= _DISAGREE:
+        return tuple(shares), []
+    shown = ", ".join(f"{s:.3f}" for s in shares if np.isfinite(s))
+    return tuple(shares), [
+        f"The exposures disagree (each over the next shorter one: {shown}): wrong exposure times, a light that "
+        "flickers, movement, stray light, a dark offset or a wrong response."
+    ]
 
 
 def flat_field(
