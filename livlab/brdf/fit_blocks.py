@@ -84,8 +84,10 @@ def plan(
     squares = []
     for size in range(LARGEST, 0, -1):
         side = 1 << size
-        cut = levels.reshape(tall // side, side, wide // side, side)
-        at = np.argwhere(cut.min(axis=(1, 3)) >= size)
+        lowest = np.minimum.reduceat(
+            np.minimum.reduceat(levels, np.arange(0, tall, side), 0), np.arange(0, wide, side), 1
+        )
+        at = np.argwhere(lowest >= size)
         if len(at):
             members = sample.reshape(tall // side, side, wide // side, side).transpose(0, 2, 1, 3)[at[:, 0], at[:, 1]]
             members = members.reshape(len(at), side * side)

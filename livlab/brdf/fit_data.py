@@ -12,6 +12,7 @@ import xarray as xr
 
 from livlab.brdf import fit_blocks as blocks
 from livlab.brdf.angles import half_angles
+from livlab.brdf.geometry import Light, Sphere
 from livlab.brdf.models_lobes import Cosines
 from livlab.brdf.rig import rig_of
 from livlab.brdf.samples import check_samples
@@ -199,9 +200,7 @@ def _pictured(
         light = lights[0] if len(lights) == 1 else lights[int(number)]
         theta_h, theta_d = half_angles(wi[mine], wo[mine])[:2] if angles is None else (a[mine] for a in angles)
         cos_i, cos_o = wi[mine, 2], wo[mine, 2]
-        received = cos_i
-        if light.near:
-            received = cos_i * light.at(sphere.meet(*camera.rays(column[mine], row[mine])).points_mm)[1]
+        received = cos_i * _scale(light, sphere, cos_i)
         squares = (
             blocks.plan(row[mine], column[mine], theta_h, cos_i, cos_o, radius)
             if footprint == "auto"
@@ -244,6 +243,16 @@ def _pictured(
             )
     packed = _joined(parts) if parts else _plain(wi, wo, value, error, keep, samples, channels, None)
     return replace(packed, dropped=len(value) - keep.size, footprint=in_words(footprint))
+
+
+def _scale(light: Light, sphere: Sphere, cos_i: FloatArray) -> FloatArray | float:
+    """Irradiance over intensity at points of a sphere whose light stands at cos_i: 1, or 1/distance²."""
+    if light.position_mm is None:
+        return 1.0
+    radius, away = sphere.radius_mm, float(np.linalg.norm(light.position_mm - sphere.centre_mm))
+    along = radius * cos_i
+    # The cosine rule in the triangle of centre, point and light.
+    return np.asarray((np.sqrt(along**2 + away**2 - radius**2) - along) ** -2.0)
 
 
 def in_words(footprint: Footprint) -> str:

@@ -112,7 +112,9 @@ def spread(
     data = problem.data
     count = sum(r.size for _, _, r in normal.parts)
     rss = sum(float(np.einsum("n,n->", r, r)) for _, _, r in normal.parts)
-    variance = rss / max(count - len(normal.names), 1)
+    # A model that fits to the last digit has no scatter left to speak of; rounding stands in for it.
+    rounding = 1e-30 * float(np.mean(problem.loss.target**2))
+    variance = max(rss / max(count - len(normal.names), 1), rounding, 1e-300)
     jacobian = normal.jacobian()
     space = problem.layout.space
     independent = covariance_of_residuals(jacobian, space, values, variance=variance)

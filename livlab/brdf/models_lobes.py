@@ -135,6 +135,11 @@ ALPHA = ModelParameter(
     "roughness of the distribution of normals, as Walter et al. 2007 define it",
 )
 EXPONENT = ModelParameter(Parameter("exponent", 0.5, 1e5, 60.0, "log"), "exponent of the cosine; larger is narrower")
+LAFORTUNE_EXPONENT = ModelParameter(
+    # With the bounds of the ratio the power stays within float64.
+    Parameter("exponent", 0.5, 1500.0, 30.0, "log"),
+    "exponent of the scaled dot product; larger is narrower",
+)
 ETA = ModelParameter(Parameter("eta", 1.01, 3.0, 1.5, "log", fixed=True), "refractive index; fixed unless freed")
 CONDUCTOR_ETA = ModelParameter(
     Parameter("eta", 0.02, 10.0, 0.2, "log", fixed=True), "real refractive index; fixed unless freed", per_channel=True
@@ -153,7 +158,7 @@ FIXED_KS = ModelParameter(
     replace(KS.parameter, start=1.0, fixed=True), "scale of the lobe; fixed at 1 unless freed", per_channel=True
 )
 RATIO = ModelParameter(
-    Parameter("ratio", 0.2, 5.0, 1.0, "log"), "C_z / |C_xy|: below 1 the peak lies past the mirror direction"
+    Parameter("ratio", 0.5, 2.0, 1.0, "log"), "C_z / |C_xy|: below 1 the peak lies past the mirror direction"
 )
 
 UPPER = "wi and wo above the surface; zero elsewhere"
@@ -343,7 +348,7 @@ LOBES: dict[str, Lobe] = {
         Lobe(
             "lafortune",
             "Lafortune et al. 1997, eq. 8",
-            (KS, EXPONENT, RATIO),
+            (KS, LAFORTUNE_EXPONENT, RATIO),
             _lafortune,
             "ks",
             f"empirical; energy is not limited; {UPPER}",

@@ -146,7 +146,7 @@ def test_ashikhmin_shirley_is_the_printed_one(ti, to, dphi, n, rs):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.floats(0, 1.4), st.floats(0, 1.4), st.floats(0, math.pi), st.floats(1, 60), st.floats(0.4, 2))
+@given(st.floats(0, 1.4), st.floats(0, 1.4), st.floats(0, math.pi), st.floats(1, 60), st.floats(0.5, 2))
 def test_lafortune_is_a_power_of_a_scaled_dot_product(ti, to, dphi, n, ratio):
     wi = np.array([math.sin(ti), 0.0, math.cos(ti)])
     wo = np.array([math.sin(to) * math.cos(dphi), math.sin(to) * math.sin(dphi), math.cos(to)])
