@@ -51,9 +51,15 @@ def check(mesh: TriangleMesh, inner: TriangleMesh | None = None, *, max_faces: i
     """
     warnings = [*_one(mesh, "mesh", max_faces)]
     if inner is not None:
-        warnings += [f"inner mesh: {said}" for said in _one(inner, "inner mesh", max_faces)]
-        _nested(mesh, inner)
+        warnings += check_inner(mesh, inner, max_faces=max_faces)
     return tuple(warnings)
+
+
+def check_inner(outer: TriangleMesh, inner: TriangleMesh, *, max_faces: int = MAX_FACES) -> tuple[str, ...]:
+    """As `check` of both, where the outer one has passed already."""
+    warnings = tuple(f"inner mesh: {said}" for said in _one(inner, "inner mesh", max_faces))
+    _nested(outer, inner)
+    return warnings
 
 
 def refuse_too_many(faces: int, max_faces: int = MAX_FACES) -> None:

@@ -29,6 +29,18 @@ def nearest(mesh: TriangleMesh, points_mm: ArrayLike) -> tuple[FloatArray, Pairs
     return np.sqrt(np.asarray(squared, dtype=np.float64)), np.asarray(faces), np.asarray(places)
 
 
+def depth(mesh: TriangleMesh, points_mm: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Signed distance in mm of points (n, 3), positive inside, and the unit vectors along which it shrinks fastest."""
+    points = _points(points_mm)
+    signed, face, place, _ = igl.signed_distance(
+        points, mesh.vertices, _faces(mesh), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+    )
+    deep = -np.asarray(signed, dtype=np.float64)
+    on_surface = np.abs(deep) < 1e-9
+    outwards = (np.asarray(place) - points) / np.where(on_surface, 1.0, deep)[:, None]
+    return deep, np.where(on_surface[:, None], mesh.face_normals[face], outwards)
+
+
 def winding_number(mesh: TriangleMesh, point_mm: ArrayLike) -> float:
     """How often the surface goes round a point: 1 inside a closed mesh that looks outwards, 0 outside."""
     return float(igl.winding_number(mesh.vertices, _faces(mesh), _points(point_mm))[0])

@@ -89,8 +89,8 @@ def solid(x: Field, y: Field, z: Field) -> Field:
     # What lies on the visceral side, seen from below: beds, fissures and the two small lobes between them.
     visceral = visceral - _groove(x, y, (-16, -46), (-9, -8), 8.0, 7.5)  # gallbladder
     visceral = visceral - _groove(x, y, (17, -52), (12, 0), 3.4, 11.0)  # umbilical fissure and its notch
-    visceral = visceral - _groove(x, y, (-9, 0), (13, 0), 4.0, 5.0)  # porta
-    visceral = visceral - _groove(x, y, (13, 2), (10, 19), 2.8, 6.0)  # fissure of the venous ligament
+    visceral = visceral - _groove(x, y, (-9, 0), (13, 0), 5.0, 5.0)  # porta
+    visceral = visceral - _groove(x, y, (13, 2), (10, 19), 3.6, 5.0)  # fissure of the venous ligament
     visceral = visceral + _groove(x, y, (-1, 14), (0, 18), 6.0, 5.0)  # caudate lobe
     visceral = visceral + _groove(x, y, (3, -26), (3, -14), 6.0, 2.0)  # quadrate lobe
     visceral = visceral - _groove(x, y, (-40, 22), (-38, 30), 13.0, 6.0)  # kidney
