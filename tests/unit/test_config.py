@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from livlab.config import LARGEST_BYTES, json_schema, load_experiment, parse_experiment, to_toml
+from livlab.config import KINDS, LARGEST_BYTES, json_schema, load_experiment, parse_experiment, to_toml
 from livlab.config_spectral import SpectralExperiment
 from livlab.errors import ConfigError
 from livlab.runs import canonical
@@ -128,7 +128,7 @@ def test_a_good_file_is_read() -> None:
         ("schema = 1\n", "", "schema: the key is missing", "Begin the file with the line `schema = 1`"),
         ("schema = 1\n", "schema = 2\n", r"schema = 2: this livlab reads 1", "Update livlab"),
         ("schema = 1\n", 'schema = "1"\n', r"schema = '1': this livlab reads 1", "Write `schema = 1`"),
-        ('kind = "spectral"', 'kind = "spectrl"', r"kind = 'spectrl': must be one of picture, spectral", "Did you mean 'spectral'?"),
+        ('kind = "spectral"', 'kind = "spectrl"', r"kind = 'spectrl': must be one of [a-z, ]+spectral", "Did you mean 'spectral'?"),
         ('kind = "spectral"', "kind = [1]", r"kind = \[1\]: must be one of", "Pick one"),
         ("[solver]", "[solver", r"line 20, column \d+: not TOML", "Mend the line"),
         ('name = "small"', "name = small", r"line 3, column \d+: not TOML: .*, in: name = small", "quotes"),
@@ -229,7 +229,8 @@ def test_what_is_written_out_and_what_is_left_out_have_one_digest() -> None:
 def test_the_json_schema_knows_every_section_and_says_what_they_mean() -> None:
     whole = json_schema()
     kinds = {ref["$ref"].rpartition("/")[2] for ref in whole["anyOf"]}
-    assert kinds == {"SpectralExperiment", "PictureExperiment"}
+    assert kinds == {kind.load_model().__name__ for kind in KINDS.values()}
+    assert {"SpectralExperiment", "PictureExperiment", "OpticsExperiment"} <= kinds
     for kind in kinds:
         schema = whole["$defs"][kind]
         properties = schema["properties"]
