@@ -31,6 +31,9 @@ TYPES: dict[int, str] = {
     10: "<f4",
     11: "<f8",
 }
+LARGEST = 1 << 30
+"""Bytes; isotropic materials take a few MiB."""
+
 _ALIGN = 8
 _MOST_FIELDS = 256
 
@@ -72,6 +75,10 @@ def read_tensors(path: Path) -> dict[str, Array]:
         No such file, another format or version, a type that is not known, data beyond the end of the file.
     """
     try:
+        if path.stat().st_size > LARGEST:
+            raise DatasetError.of(
+                path.name, f"{path.stat().st_size} bytes", f"must be at most {LARGEST}", "Give an isotropic material."
+            )
         content = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {error.strerror}.", remedy="Check the path.") from error

@@ -248,6 +248,10 @@ def test_what_is_refused(tmp_path):
     write_tensors(path, {name: values for name, values in fields.items() if name != "vndf"})
     with pytest.raises(DatasetError, match="vndf"):
         read_mitsuba(path)
+    with path.open("wb") as stream:
+        stream.truncate((1 << 30) + 1)  # sparse: nothing is written
+    with pytest.raises(DatasetError, match="at most"):
+        read_mitsuba(path)
     path.write_bytes(content)
     for brdf, options, match in (
         (ggx, {"wavelengths_nm": [500.0]}, "rising"),

@@ -13,6 +13,7 @@ from livlab.brdf.files_alta import read_alta
 from livlab.brdf.files_csv import read_csv, write_csv
 from livlab.brdf.files_merl import SCALES, read_merl, write_merl
 from livlab.brdf.files_netcdf import read_netcdf, write_netcdf
+from livlab.brdf.footprint import footprint
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.grid import Grid
 from livlab.brdf.lookup import fill_holes, lookup, table_of, tabulate
@@ -60,6 +61,14 @@ def test_netcdf_keeps_everything(tmp_path, samples):
             assert data[name].attrs.items() <= back[name].attrs.items(), name
     write_netcdf(tmp_path / "a.nc", samples)
     assert rig_of(read_netcdf(tmp_path / "a.nc"))[1][1].position_mm.tolist() == [50, 30, -100]
+
+
+def test_footprints_of_samples_read_from_a_file(tmp_path, samples):
+    bare = samples.assign(standard_error=samples["standard_error"] * np.nan)
+    write_netcdf(tmp_path / "a.nc", bare)
+    some = np.arange(0, samples.sizes["sample"], 50)
+    there = footprint(read_netcdf(tmp_path / "a.nc").isel(sample=some), 3)
+    assert np.array_equal(there.weight, footprint(samples, 3, index=some).weight)
 
 
 def test_netcdf_spells_out_its_conventions(tmp_path, samples):
