@@ -3,16 +3,21 @@
 from livlab.model.shapes.checks import check
 from livlab.model.shapes.distance import DistanceField, distance_field
 from livlab.model.shapes.mesh import TriangleMesh
+from livlab.model.shapes.mesh_files import read_mesh, write_meshes
 from livlab.model.shapes.organ import liver
 from livlab.model.shapes.primitives import box, sphere
 from livlab.model.shapes.section import Plane, Section, section, wedge
 from livlab.model.shapes.shell import Inset, Thickness, inset
+from livlab.model.shapes.volume import Segmentation, Surface, surface
+from livlab.model.shapes.volume_files import read_volume
 
 __all__ = [
     "DistanceField",
     "Inset",
     "Plane",
     "Section",
+    "Segmentation",
+    "Surface",
     "Thickness",
     "TriangleMesh",
     "box",
@@ -20,7 +25,11 @@ __all__ = [
     "distance_field",
     "inset",
     "liver",
+    "read_mesh",
+    "read_volume",
     "section",
     "sphere",
+    "surface",
     "wedge",
+    "write_meshes",
 ]

@@ -12,7 +12,7 @@ from livlab.model.shapes.mesh import TriangleMesh
 Field = NDArray[np.float64]
 Point = tuple[float, float, float]
 
-_VERSION = 1
+_VERSION = 2
 
 
 def liver(size_mm: float = 140.0, resolution_mm: float = 0.75, *, cached: bool = True) -> TriangleMesh:
