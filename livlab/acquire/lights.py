@@ -100,6 +100,8 @@ def mirror_highlight(
         )
     blob, others = _blob(values, rows, columns, ground, peak)
     weight = np.clip(values[blob] - ground, 0, None)
+    core = values[blob] > ground + 0.5 * (peak - ground)
+    area = int(core.sum())
     v, u = (float(np.average(axis, weights=weight)) for axis in blob)
     notes = []
     if others > 0.2:
@@ -110,7 +112,7 @@ def mirror_highlight(
             "Switch the other lights off, cover windows, or give near lights a ball each.",
         )
     clip = peak if saturation is None else saturation
-    at_top = float(np.mean(values[blob] >= clip * 0.999))
+    at_top = float(np.mean(values[blob][core] >= clip * 0.999))
     if saturation is None and np.count_nonzero(values[blob] >= clip) <= 2:
         at_top = 0.0
     radius = float(np.sqrt(np.average((blob[1] - u) ** 2 + (blob[0] - v) ** 2, weights=weight)))
@@ -118,17 +120,15 @@ def mirror_highlight(
     sd = float(np.hypot(noise, _SHAPE_SHARE * radius if at_top > 0 else 0.3 * _SHAPE_SHARE * radius + 0.05))
     if at_top > 0:
         notes.append(f"{at_top:.0%} of the highlight is clipped: its middle is the middle of its outline.")
-    if len(weight) < 4:
-        notes.append(f"The highlight has {len(weight)} pixels: its centroid follows the pixel grid.")
+    if area < 4:
+        notes.append(f"The highlight has {area} pixels: its centroid follows the pixel grid.")
     direction, origin, cos_o = _mirror(camera, pose.sphere, u, v)
     if (1 - np.sqrt(1 - cos_o**2)) * pose.circle_px[2] < GRAZING_PX:
         raise InputError.of(
             name, f"highlight at ({u:.1f}, {v:.1f}) px", "lies too near the limb of the ball", "Turn camera or light."
         )
     covariance, stretch = _covariance(camera, pose, u, v, sd)
-    return Highlight(
-        direction, origin, covariance, (u, v), sd, float(len(weight)), len(weight) * stretch, at_top, tuple(notes)
-    )
+    return Highlight(direction, origin, covariance, (u, v), sd, float(area), area * stretch, at_top, tuple(notes))
 
 
 _SEE = "See that the light was on and the ball is the mirror, and give its outline or mask."
@@ -157,7 +157,8 @@ def _blob(
     patches, count = ndimage.label(bright, structure=np.ones((3, 3)))
     light = ndimage.sum_labels(values - ground, patches, np.arange(1, count + 1))
     order = np.argsort(light)[::-1]
-    where = np.nonzero(patches == order[0] + 1)
+    # Two more pixels around: a small highlight has much of its light in pixels that it covers in part.
+    where = np.nonzero(ndimage.binary_dilation(patches == order[0] + 1, iterations=2))
     return (where[0], where[1]), float(light[order[1]] / light[order[0]]) if count > 1 else 0.0
 
 
