@@ -20,7 +20,7 @@ from livlab.brdf.fit_report import combinations_in_words, parameter_table, sente
 from livlab.brdf.fit_result import FitResult
 from livlab.brdf.fit_spread import Resampling, spread
 from livlab.brdf.models import Model, model
-from livlab.errors import InputError
+from livlab.errors import InputError, Interrupted
 from livlab.optimise import FitWarning, OptimiseResult, ParameterSpace, identifiability, minimise
 
 __all__ = ["FitResult", "Packed", "compare", "fit", "pack"]
@@ -97,6 +97,8 @@ def fit(
     ------
     InputError
         Unknown names, samples that hold nothing, fewer samples than parameters, a loss that they do not allow.
+    Interrupted
+        The user stopped it.
     """
     begun = time.perf_counter()
     chosen = model(which)
@@ -107,7 +109,7 @@ def fit(
             "samples", data.value.size, f"are too few for {len(layout.space.names)} parameters", "Fix some parameters."
         )
     problem = Problem(layout, data, loss)
-    found, tried = _search(problem, loss, max(starts, 1), algorithm, max_seconds, seed)
+    found, tried = _search(problem, loss, max(starts, 1), algorithm, begun + max_seconds, seed)
     values = found.best
     # The last stage began at its optimum; what counts is where the search began.
     start_x = layout.space.start
@@ -120,7 +122,7 @@ def fit(
     rmse, relative = _rms(problem, values)
     count, free_count = data.value.size, len(layout.space.names)
     likelihood = sure.effective * math.log(max(rss, 1e-300) / count)
-    notes = sentences(problem, found, held, sure, tried, loss, footprint)
+    notes = sentences(problem, found, held, sure)
     if warn:
         for note in notes:
             warnings.warn(note, FitWarning, stacklevel=2)
@@ -207,7 +209,7 @@ def compare(
 
 
 def _search(
-    problem: Problem, loss: str, starts: int, algorithm: str, max_seconds: float, seed: int
+    problem: Problem, loss: str, starts: int, algorithm: str, deadline: float, seed: int
 ) -> tuple[OptimiseResult, pd.DataFrame]:
     """Try shapes on a part of the samples, follow the best there, and take the best of those to all samples."""
     layout, data = problem.layout, problem.data
@@ -215,16 +217,16 @@ def _search(
     trials = _trials(part, starts, seed)
     rows, best = [], None
     for number, values in enumerate(trials[:starts]):
-        one = _minimise(part, values, algorithm, max_seconds, seed + number, 1e-9)
+        one = _minimise(part, values, algorithm, deadline, seed + number, 1e-9)
         rows.append({"value": one.value, "evaluations": one.evaluations, "stop": one.stop, **one.best})
         if best is None or one.value < best.value:
             best = one
     assert best is not None
     tried = pd.DataFrame(rows)
     tried.index.name = "start"
-    final = _minimise(problem, best.best, algorithm, max_seconds, seed, 1e-12)
+    final = _minimise(problem, best.best, algorithm, deadline, seed, 1e-12)
     # A second go, rescaled where the first ended, mends a quasi-Newton matrix that went astray.
-    again = _minimise(problem, final.best, algorithm, max_seconds, seed, 1e-13)
+    again = _minimise(problem, final.best, algorithm, deadline, seed, 1e-13) if final.converged else final
     return (again if again.value <= final.value and again.converged else final), tried
 
 
@@ -266,7 +268,7 @@ def _trials(problem: Problem, starts: int, seed: int) -> list[dict[str, float]]:
 
 
 def _minimise(
-    problem: Problem, values: Mapping[str, float], algorithm: str, max_seconds: float, seed: int, tolerance: float
+    problem: Problem, values: Mapping[str, float], algorithm: str, deadline: float, seed: int, tolerance: float
 ) -> OptimiseResult:
     space: ParameterSpace = problem.scaled_space(values)
     size = max(problem.value(values), 1e-300)
@@ -285,10 +287,12 @@ def _minimise(
         value_tolerance=tolerance,
         parameter_tolerance=1e-9,
         max_evaluations=300 * (len(space.names) + 1),
-        max_seconds=max_seconds,
+        max_seconds=max(deadline - time.perf_counter(), 1e-3),
         seed=seed,
         warn=False,
     )
+    if found.interrupted:
+        raise Interrupted("The fit was stopped.", remedy="Run it again; max_seconds= ends it with a result.")
     return _times(found, size)
 
 

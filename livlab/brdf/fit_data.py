@@ -53,6 +53,8 @@ class Packed:
         Labels.
     dropped : int
         Samples left out since they were not finite.
+    source_rad : float
+        Largest angular radius of a light as the surface sees it.
     footprint : str
         How pixels are integrated, in words.
     notes : tuple of str
@@ -71,6 +73,7 @@ class Packed:
     theta_h: FloatArray
     theta_d: FloatArray
     channels: tuple[str, ...]
+    source_rad: float = 0.0
     footprint: str = "directions"
     dropped: int = 0
     notes: tuple[str, ...] = ()
@@ -173,7 +176,7 @@ def _plain(
     return Packed(
         value[keep], error[keep], at.i, np.ones(keep.size), at, np.ones(keep.size), np.arange(keep.size),
         light.astype(np.intp), tile.astype(np.intp), half.theta_h, half.theta_d, channels,
-        "directions", len(value) - keep.size, notes,
+        0.0, "directions", len(value) - keep.size, notes,
     )  # fmt: skip
 
 
@@ -242,7 +245,9 @@ def _pictured(
                 )
             )
     packed = _joined(parts) if parts else _plain(wi, wo, value, error, keep, samples, channels, None)
-    return replace(packed, dropped=len(value) - keep.size, footprint=in_words(footprint))
+    solid = np.asarray(samples["source_solid_angle"].values) if "source_solid_angle" in samples.coords else np.zeros(1)
+    radius = float(np.sqrt(max(np.nanmax(solid, initial=0.0), 0.0) / np.pi))
+    return replace(packed, dropped=len(value) - keep.size, footprint=in_words(footprint), source_rad=radius)
 
 
 def _scale(light: Light, sphere: Sphere, cos_i: FloatArray) -> FloatArray | float:
@@ -274,6 +279,7 @@ def _joined(parts: list[Packed]) -> Packed:
         at=Cosines(*(np.concatenate([p.at[k] for p in parts]) for k in range(3))),
         first=np.concatenate([p.first + s for p, s in zip(parts, sizes, strict=True)]),
         channels=parts[0].channels,
+        source_rad=max(p.source_rad for p in parts),
         footprint=parts[0].footprint,
         dropped=sum(p.dropped for p in parts),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),

@@ -11,7 +11,7 @@ from livlab.brdf.fit_problem import Choices, Layout, Problem
 from livlab.brdf.models import model
 from livlab.brdf.samples import sample_dataset
 from livlab.brdf.sphere import by_light, extract
-from livlab.errors import InputError
+from livlab.errors import InputError, Interrupted
 from livlab.optimise import FitWarning, bootstrap
 
 pytestmark = pytest.mark.filterwarnings("ignore::livlab.optimise.FitWarning")
@@ -303,3 +303,33 @@ def test_what_cannot_be_fitted_is_refused(narrow):
     found = fit(holes, "lambert+ggx", starts=1)
     assert any("left out" in s for s in found.warnings)
     assert found.values["kd"] == pytest.approx(0.2, rel=1e-3)
+
+
+def test_ctrl_c_stops_all_of_it(monkeypatch):
+    calls = []
+    original = Problem.value
+
+    def counted(self, values):
+        calls.append(1)
+        if len(calls) == 40:
+            raise KeyboardInterrupt
+        return original(self, values)
+
+    monkeypatch.setattr(Problem, "value", counted)
+    with pytest.raises(Interrupted):
+        fit(made("lambert+ggx", TRUTH["lambert+ggx"]), "lambert+ggx")
+    assert len(calls) == 40
+
+
+def test_a_time_limit_gives_a_result_that_says_so():
+    found = fit(made("lambert+ggx", TRUTH["lambert+ggx"]), "lambert+ggx", max_seconds=1e-6)
+    assert not found
+    assert any("did not converge" in s for s in found.warnings)
+
+
+def test_a_light_wider_than_the_lobe_is_told():
+    images, eye, lamps, sphere = pictures("lambert+ggx", {"kd": 0.2, "alpha": 0.05}, lights(1), radius_px=20, inside=3)
+    pixels = extract(images, eye, lamps, sphere)
+    pixels["source_solid_angle"] = ("sample", np.full(pixels.sizes["sample"], np.pi * 0.03**2))
+    assert any("angular radius of 1.7 deg" in s for s in fit(pixels, "lambert+ggx").warnings)
+    assert not any("angular radius" in s for s in fit(pixels, "lambert").warnings)
