@@ -170,8 +170,8 @@ def find_corners(picture: NDArray[np.generic], board: Board) -> tuple[NDArray[np
             return None
         corners = _refined(eight, corners, board.columns)
         v, u = np.mgrid[0 : board.rows, 0 : board.columns]
-        flat = np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 1, 3) * board.square_mm
-        return np.asarray(flat, dtype=np.float32), np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
+        plane = np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 1, 3) * board.square_mm
+        return np.asarray(plane, dtype=np.float32), np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
     code = getattr(cv2.aruco, board.dictionary, None)
     if not isinstance(code, int) or not board.dictionary.startswith("DICT_"):
         raise InputError.of("board.dictionary", board.dictionary, "is no dictionary of OpenCV", "Say DICT_4X4_50.")

@@ -75,7 +75,7 @@ class _Loader:
 
         frames = Frames(develop, len(rig.light), (rows, columns, count))
         camera, calibration = self._camera(columns, rows)
-        pose, sphere, covariance = self._sphere(frames, camera)
+        pose, sphere, covariance = self._sphere(frames, camera, development)
         lights, light_covariances, highlights = self._lights(camera, sphere, development, count)
         white, white_sd = self._white(rig.white, development, lights, sphere, count, colour, grey=grey)
         mask = None
@@ -146,7 +146,7 @@ class _Loader:
     def _one_unit(self, exposures: Sequence[Sequence[float]]) -> None:
         given = [light.exposures is not None for light in self.rig.light]
         told = [e != [1.0] for e, g in zip(exposures, given, strict=True) if not g]
-        if any(given) != all(given) or any(told) != all(told):
+        if len(set(given)) > 1 or len(set(told)) > 1:
             raise InputError.of(
                 "light.exposures", "given for some lights", "must be given for all, or for none", "Mend the rig file."
             )
@@ -168,7 +168,13 @@ class _Loader:
             if table.stack.exposures is not None:
                 exposures = list(table.stack.exposures)
         if table.kind == "debevec":
-            answer = debevec([_eight(p) for p in stack], exposures)
+            codes = [_eight(p) for p in stack]
+            answer = debevec(codes, exposures)
+            low, high = (float(np.percentile(codes, q)) / 255 for q in (0.5, 99.5))
+            if high < 0.9:
+                self.notes.append(
+                    f"The stack shows stored values {low:.2f} to {high:.2f}; above, debevec extrapolates."
+                )
         else:
             answer = response(table.kind, gamma=table.gamma, table=values)
         if not stack:
@@ -240,14 +246,25 @@ class _Loader:
         lens = np.array(table.distortion)
         return Camera(columns, rows, matrix, distortion=lens, orthographic=table.kind == "orthographic"), None
 
-    def _sphere(self, frames: Frames, camera: Camera) -> tuple[SpherePose | None, Sphere, FloatArray]:
+    def _outline(self, name: str, size: tuple[int, int], development: Development) -> NDArray[np.float32]:
+        """An outline picture in linear values, since half way between encoded levels is elsewhere."""
+        picture = self._sized(name, size)
+        value, _, clipped = development.linear(picture, float(picture.exposure.value or 1.0))
+        if clipped.any():
+            self.notes.append(f"{picture.name} is clipped: right for a mask, but in a photograph it moves the outline.")
+        return value
+
+    def _sphere(
+        self, frames: Frames, camera: Camera, development: Development
+    ) -> tuple[SpherePose | None, Sphere, FloatArray]:
         table = self.rig.sphere
+        frame: NDArray[np.floating]
         if table.centre_mm is not None and table.radius_mm is not None:
             sd = [table.centre_sd_mm] * 3 + [table.radius_sd_mm]
             return None, Sphere(self._vector(table.centre_mm), table.radius_mm), np.diag(np.square(sd))
         near = None if table.near is None else (table.near[0], table.near[1], table.near[2])
         if table.outline is not None:
-            frame = self._sized(table.outline, frames.shape[:2]).values.astype(np.float64)
+            frame = self._outline(table.outline, frames.shape[:2], development)
             kind = table.kind or "silhouette"
         else:
             frame = all_round(frames[k].value for k in range(frames.count))
@@ -291,9 +308,10 @@ class _Loader:
         size = (camera.height, camera.width)
         near = None if table.near is None else (table.near[0], table.near[1], table.near[2])
         # Highlights clip; all that counts is where they are.
+        frame: NDArray[np.floating]
         pictures = (development.linear(self._sized(name, size), 1.0)[0] for name in table.images)
         if table.outline is not None:
-            frame, kind = self._sized(table.outline, size).values.astype(np.float64), "silhouette"
+            frame, kind = self._outline(table.outline, size, development), "silhouette"
         else:
             frame, kind = all_round(pictures), "all-round"
         pose = sphere_pose(
@@ -333,8 +351,8 @@ class _Loader:
                 raise InputError.of("white.value", value.tolist(), f"must be 1 or {count} numbers", "One a channel.")
         else:
             picture = self._read(table.image or "")
-            merged = merge([picture], [float(table.exposure or picture.exposure.value or 1.0)], development)
-            merged = _coloured(merged, colour, grey=grey)
+            exposure = float(table.exposure or picture.exposure.value or 1.0)
+            merged = _coloured(self._without_stray(merge([picture], [exposure], development)), colour, grey=grey)
             u0, v0, u1, v1 = table.box or [0, 0, 0, 0]
             part = merged.value[v0:v1, u0:u1].reshape(-1, count)
             if u0 < 0 or v0 < 0 or not part.size or not np.isfinite(part).all():
