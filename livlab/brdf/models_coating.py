@@ -142,5 +142,5 @@ def quick_coating(eta: float, distribution: int, low: float, high: float) -> Flo
 def quick_value(coefficients: FloatArray, alpha: float, low: float, high: float) -> tuple[FloatArray, float]:
     """`coating` from `quick_coating`."""
     x = 2.0 * math.log(alpha / low) / math.log(high / low) - 1.0
-    found = np.polynomial.chebyshev.chebval(x, coefficients)
+    found = np.asarray(np.polynomial.chebyshev.chebval(x, coefficients), dtype=np.float64)
     return np.ascontiguousarray(found[:-1]), float(found[-1])
