@@ -155,8 +155,8 @@ class FitResult:
             f"{'rms':<12} {self.rmse:.4g} 1/sr of f cos(theta_i), {100 * self.relative_rmse:.3g} % of it",
             f"{'criteria':<12} AIC {self.aic:.6g}, BIC {self.bic:.6g}: for models on the same data and loss only",
             f"{'intervals':<12} {100 * self.level:.4g} %, {self.resampled}",
-            f"{'search':<12} {self.search.algorithm}: {self.search.stop}; {self.search.evaluations} evaluations in the last stage, "
-            f"{self.seconds:.3g} s in all",
+            f"{'search':<12} {self.search.algorithm}: {self.search.stop}; "
+            f"{self.search.evaluations} evaluations in the last stage, {self.seconds:.3g} s in all",
             "",
         ]
         wide = max([len(str(n)) for n in self.table.index] + [9])
