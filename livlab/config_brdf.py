@@ -36,7 +36,10 @@ class RigLights(Section):
     angle_deg: float = Field(45.0, ge=0.0, le=170.0, description="ring: its angle.")
     list_deg: tuple[Place, ...] = Field((), strict=False, description="list: [angle, azimuth] of each.")
     distance_radii: float | Literal["infinite"] = Field(
-        10.0, description="Distance from the sphere's centre in radii, or 'infinite'."
+        10.0, description="Distance from the sphere's centre in radii, or 'infinite'; a tissue's lights are infinite."
+    )
+    half_angle_deg: float = Field(
+        5.0, gt=0.0, lt=30.0, description="Tissue: half-angle of each light as the sphere sees it."
     )
 
     @model_validator(mode="after")
@@ -144,6 +147,9 @@ class Scan(Section):
     kind: Literal["incidence", "collinear"] = Field("incidence", description="Thesis: Fig. 7.4, or Fig. 7.5.")
     incidence_deg: Angle = Field(45.0, description="incidence: angle of the light.")
     last_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = Field(75.0, description="Largest angle compared.")
+    step_deg: Annotated[float, Field(gt=0.0, le=45.0)] = Field(
+        5.0, description="Step of the angles compared, a multiple of the detectors' polar step."
+    )
     width_deg: Annotated[float, Field(gt=0.0, le=20.0)] = Field(
         2.5, description="Half-width in θ_i (and collinear: in the angle between light and eye) of samples taken in."
     )
@@ -201,6 +207,13 @@ class BrdfExperiment(Experiment):
         if self.tissue is not None:
             if self.wavelengths is None or not self.all_readings:
                 raise InputError.of("tissue", "…", "needs readings and [wavelengths]", "Add them.")
+            if self.rig.lights.distance_radii != "infinite":
+                raise InputError.of(
+                    "rig.lights.distance_radii",
+                    self.rig.lights.distance_radii,
+                    "a tissue's lights are distant",
+                    'Write distance_radii = "infinite".',
+                )
             self.tissue.build()
         names = [m.name for m in self.material] or [r.name for r in self.all_readings]
         for name, count in Counter(names).items():
@@ -219,6 +232,16 @@ class BrdfExperiment(Experiment):
                 raise InputError.of(
                     f"criterion[{k}].parameter", criterion.parameter, "goes with 'parameter error' alone", "Mend it."
                 )
+        steps = self.scan.step_deg / self.goniometer.theta_step_deg
+        if not math.isclose(steps, round(steps), abs_tol=1e-9) or steps < 1:
+            raise InputError.of(
+                "scan.step_deg", self.scan.step_deg, "must be a multiple of goniometer.theta_step_deg", "Change one."
+            )
+        places = {*self.lobes_deg, *([self.scan.incidence_deg] if self.scan.kind == "incidence" else [])}
+        for angle in places if self.tissue is not None else ():
+            off = angle / self.goniometer.theta_step_deg
+            if not math.isclose(off, round(off), abs_tol=1e-9):
+                raise InputError.of("lobes_deg", angle, "must be a multiple of goniometer.theta_step_deg", "Change it.")
         self.rig.build()
         return self
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
-from livlab.model.tissue.stack import OpticalStack
+from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack
 from livlab.units import FloatArray
 
 
@@ -157,6 +157,28 @@ def goniometer(
         "convention": "phi = 0: the light's side; no cosine; mirror reflection apart",
     }
     return out.drop_vars("layer", errors="ignore")
+
+
+def unoriented(stack: OpticalStack) -> OpticalStack:
+    """The stack with Algorithm 2's azimuth counted from an axis drawn anew at each redirection.
+
+    The factor |cos θ| of Nunes 2019, Algorithm 2, depends on an azimuth whose origin the text does not name. Counted
+    from one axis of the sample it favours directions along that axis, and a BRDF would depend on how the sample is
+    turned. From an axis drawn anew the factor is its mean, on the albedo, and no direction is special: as the tracer
+    has it, whose bodies have no frame of their own.
+
+    >>> from livlab.model.tissue.phase import Isotropic
+    >>> from livlab.model.tissue.stack import plain_stack
+    >>> unoriented(plain_stack([(1.4, 1.0, 1.0, 1.0, Isotropic())])).layers[0].interactions[1].redirect
+    'none'
+    """
+    layers = []
+    for layer in stack.layers:
+        parts = tuple(
+            replace(i, albedo=i.albedo * REDIRECT_MEAN[i.redirect], redirect="none") for i in layer.interactions
+        )
+        layers.append(replace(layer, interactions=parts))
+    return replace(stack, layers=tuple(layers))
 
 
 def collinear(measured: xr.Dataset) -> xr.Dataset:

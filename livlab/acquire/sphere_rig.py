@@ -18,7 +18,6 @@ import xarray as xr
 
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.errors import InputError
-from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
 
 Silhouette = Literal["all-round", "back-lit", "none"]
@@ -233,7 +232,7 @@ def photograph(
     from livlab.model.tracer.rig import photograph_sphere
 
     started = time.perf_counter()
-    view = _view(rig.camera)
+    view = view_of(rig.camera)
     pictures = photograph_sphere(
         view,
         [_lamp(x) for x in rig.lights],
@@ -254,59 +253,6 @@ def photograph(
     )
     frame = outline(rig, seed=seed)
     return Photographs(images, rig.camera, rig.lights, rig.sphere, frame, time.perf_counter() - started)
-
-
-def photograph_tissue(
-    rig: SphereRig,
-    stack: OpticalStack,
-    *,
-    seed: int = 0,
-    variant: Literal["llvm", "cuda"] = "llvm",
-    progress: Callable[[int], None] | None = None,
-) -> Photographs:
-    """Pictures of a sphere of tissue by the tracer, a channel a wavelength, with their variance.
-
-    What a smooth surface mirrors is a delta that a point light's pictures do not hold.
-
-    Parameters
-    ----------
-    stack
-        The tissue's layers and wavelengths; the last layer fills the sphere.
-    seed
-        Of the tracer.
-    variant
-        Where it runs: processor or graphics card.
-    progress
-        Called with the number of pictures done; it may raise to stop.
-
-    Raises
-    ------
-    InputError
-        The layers above the last are as thick as the sphere, or a light lies within it.
-    EnvironmentProblem
-        Mitsuba or the variant cannot run here.
-    """
-    from livlab.model.tracer.rig import photograph_tissue_sphere
-
-    started = time.perf_counter()
-    values, errors = photograph_tissue_sphere(
-        _view(rig.camera),
-        [_lamp(x) for x in rig.lights],
-        rig.sphere.centre_mm,
-        rig.sphere.radius_mm,
-        stack,
-        samples=rig.samples_per_pixel,
-        seed=seed,
-        variant=f"{variant}_ad_spectral",
-        progress=progress,
-    )
-    dims, coords = ("light", "row", "column", "channel"), {"channel": stack.wavelength_nm}
-    about = {"units": "W m-2 sr-1", "long_name": "linear radiance; channels are wavelengths in nm"}
-    images = xr.DataArray(values, dims=dims, coords=coords, name="radiance", attrs=about)
-    variance = xr.DataArray(errors**2, dims=dims, coords=coords)
-    frame = outline(rig, seed=seed)
-    seconds = time.perf_counter() - started
-    return Photographs(images, rig.camera, rig.lights, rig.sphere, frame, seconds, variance)
 
 
 def check_material(material: Mapping[str, Any]) -> None:
@@ -339,7 +285,7 @@ def outline(rig: SphereRig, *, samples: int = 256, seed: int = 0) -> xr.DataArra
         return None
     back_lit = rig.silhouette == "back-lit"
     frame = silhouette(
-        _view(rig.camera),
+        view_of(rig.camera),
         rig.sphere.centre_mm,
         rig.sphere.radius_mm,
         back_lit=back_lit,
@@ -354,7 +300,14 @@ def moved(rig: SphereRig, centre_mm: FloatArray) -> SphereRig:
     return replace(rig, sphere=Sphere(np.asarray(centre_mm, dtype=float), rig.sphere.radius_mm))
 
 
-def _view(camera: Camera) -> Any:
+def view_of(camera: Camera) -> Any:
+    """A camera in the renderer's terms.
+
+    Raises
+    ------
+    InputError
+        Its pixels are not square.
+    """
     from livlab.model.tracer.rig import View
 
     m = np.asarray(camera.matrix, dtype=float)

@@ -188,6 +188,7 @@ def sphere_cut(
     last_deg: float = 75.0,
     theta_step_deg: float = 5.0,
     phi_step_deg: float = 30.0,
+    step_deg: float | None = None,
     least: int = 10,
 ) -> Cut:
     """Mean of a sphere's samples in the bins of a goniometer's detectors.
@@ -202,6 +203,8 @@ def sphere_cut(
         In θ_i; collinear: in the angle between light and eye.
     phi_step_deg
         The detectors' step: samples up to half of it out of the plane of incidence, in azimuth, count.
+    step_deg
+        Between the angles of the cut; the detectors' own polar step if not given.
     least
         Bins with fewer samples are left empty.
     """
@@ -214,10 +217,13 @@ def sphere_cut(
         near = np.abs(at.theta_i - np.radians(incidence_deg)) <= half
         near &= (azimuth <= np.radians(phi_step_deg) / 2) | (at.theta_o <= step / 2)
         theta = at.signed
-    angles = cut_angles(kind, last_deg, theta_step_deg)
+    apart = step_deg or theta_step_deg
+    angles = cut_angles(kind, last_deg, apart)
     where = np.flatnonzero(near)
-    place = np.rint(theta[where] / step).astype(int) - round(angles[0] / theta_step_deg)
-    inside = (place >= 0) & (place < len(angles))
+    place = np.rint(theta[where] / np.radians(apart)).astype(int)
+    inside = np.abs(theta[where] - place * np.radians(apart)) <= step / 2
+    place -= round(angles[0] / apart)
+    inside &= (place >= 0) & (place < len(angles))
     where, place = where[inside], place[inside]
     count = np.bincount(place, minlength=len(angles)).astype(float)
     filled, safe = count >= least, np.maximum(count, 1.0)
@@ -236,11 +242,18 @@ def sphere_cut(
     )
 
 
-def flat_cut(measured: xr.Dataset, kind: str, *, incidence_deg: float = 45.0, last_deg: float = 75.0) -> Cut:
+def flat_cut(
+    measured: xr.Dataset,
+    kind: str,
+    *,
+    incidence_deg: float = 45.0,
+    last_deg: float = 75.0,
+    step_deg: float | None = None,
+) -> Cut:
     """The same cut through what the goniometer measured (`livlab.acquire.goniometer`)."""
     theta = np.degrees(measured["theta_o"].to_numpy())
     step = float(theta[1] - theta[0])
-    angles = cut_angles(kind, last_deg, step)
+    angles = cut_angles(kind, last_deg, step_deg or step)
     incidences = np.degrees(measured["theta_i"].to_numpy())
     places = np.rint(np.abs(angles) / step).astype(int)
     value, error = (measured[name].to_numpy() for name in ("brdf", "brdf_se"))

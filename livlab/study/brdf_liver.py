@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.goniometer import goniometer
-from livlab.acquire.sphere_rig import photograph_tissue
+from livlab.acquire.goniometer import goniometer, unoriented
+from livlab.acquire.sphere_rig_tissue import photograph_tissue
 from livlab.brdf.sphere import extract
 from livlab.config_brdf import BrdfExperiment
 from livlab.model.tissue.optics import optical_stack
@@ -79,6 +79,11 @@ def _work(run: Run, config: BrdfExperiment, tissue: Tissue, stacks: dict[str, Op
                 one.comparison[pair, nm] = row
                 tables["comparison"].append({"reading": name, "wavelength_nm": nm, "between": pair, **row})
         tables["cuts"] += _cut_rows(name, stack, one)
+        if any(i.redirect != "none" for layer in stack.layers for i in layer.interactions):
+            run.note(
+                f"{name}: the azimuth in the factor of Algorithm 2 is counted from an axis drawn anew at each "
+                "redirection, on the sphere and on the flat sample: the text names none, and a BRDF needs one."
+            )
         for note in stack.notes:
             run.note(f"{name}: {note}")
         run.progress.advance(name, 1.0)
@@ -98,7 +103,9 @@ def _one(
     measured = _flat(run, config, name, stack, seed, costs)
     scan = config.scan
     cut = _cut(config, samples)
-    flat = flat_cut(measured, scan.kind, incidence_deg=scan.incidence_deg, last_deg=scan.last_deg)
+    flat = flat_cut(
+        measured, scan.kind, incidence_deg=scan.incidence_deg, last_deg=scan.last_deg, step_deg=scan.step_deg
+    )
     one = Seen(cut, flat, measured, samples, stack.wavelength_nm, seconds=seconds + float(measured.attrs["seconds"]))
     tables["samples"].append(_counted(name, samples))
     if config.fit is not None:
@@ -130,27 +137,30 @@ def _sphere(
 ) -> tuple[xr.Dataset, float]:
     """Samples from pictures of a sphere: as an earlier call left them, or rendered."""
     key = f"sphere {name} {radius_mm:g} mm"
+    disc = config.rig.lights.half_angle_deg
     rig = replace(
         config.rig.model_copy(update={"radius_mm": radius_mm}).build(len(stack.wavelength_nm)), silhouette="none"
     )
     kept = run.load_piece(key)
     if kept is None:
 
-        def told(done: int) -> None:
-            run.progress.advance(name, 0.6 * done / len(rig.lights), f"{done} of {len(rig.lights)} pictures")
+        def told(share: float) -> None:
+            run.progress.advance(name, 0.6 * share, f"sphere of {radius_mm:g} mm")
             run.stop_if_asked()
 
-        pictures = photograph_tissue(rig, stack, seed=seed, variant=config.variant, progress=told)
+        pictures = photograph_tissue(rig, stack, half_angle_deg=disc, seed=seed, variant=config.variant, progress=told)
         assert pictures.variance is not None
-        kept = xr.Dataset(
-            {"images": pictures.images, "variance": pictures.variance}, attrs={"seconds": pictures.seconds}
-        )
+        told_of = {which: pictures.images.attrs[which] for which in ("paths", "troubles")}
+        both = {"images": pictures.images, "variance": pictures.variance}
+        kept = xr.Dataset(both, attrs={"seconds": pictures.seconds, **told_of})
         run.save_piece(key, kept)
     seconds = float(kept.attrs["seconds"])
-    rays = len(rig.lights) * rig.camera.width * rig.camera.height * rig.samples_per_pixel
+    paths = int(kept.attrs["paths"])
+    if kept.attrs["troubles"] > 1e-3 * paths:
+        run.note(f"{name}, {radius_mm:g} mm: {int(kept.attrs['troubles'])} of {paths} paths were given up or lost.")
     costs.append(
-        {"stage": "render", "subject": f"{name}, {radius_mm:g} mm", "seconds": seconds, "samples": rays,
-         "samples_per_second": rays / seconds}
+        {"stage": "render", "subject": f"{name}, {radius_mm:g} mm", "seconds": seconds, "samples": paths,
+         "samples_per_second": paths / seconds}
     )  # fmt: skip
     if rows is not None:
         png, exposure = sheet(run, f"sphere-{len(rows) + 1}.png", kept["images"])
@@ -174,7 +184,7 @@ def _flat(
     if measured is None:
         wanted = set(config.lobes_deg)
         if scan.kind == "collinear":
-            wanted |= set(np.arange(0.0, scan.last_deg + 1e-9, spec.theta_step_deg).tolist())
+            wanted |= set(np.arange(0.0, scan.last_deg + 1e-9, scan.step_deg).tolist())
         else:
             wanted.add(scan.incidence_deg)
 
@@ -183,7 +193,7 @@ def _flat(
             run.stop_if_asked()
 
         measured = goniometer(
-            stack, np.radians(sorted(wanted)), spec.detectors(), samples=spec.samples, seed=seed,
+            unoriented(stack), np.radians(sorted(wanted)), spec.detectors(), samples=spec.samples, seed=seed,
             variant=config.variant, progress=told,
         )  # fmt: skip
         run.save_piece(key, measured)
@@ -200,7 +210,7 @@ def _cut(config: BrdfExperiment, samples: xr.Dataset) -> Cut:
     scan, spec = config.scan, config.goniometer
     return sphere_cut(
         samples, scan.kind, incidence_deg=scan.incidence_deg, half_width_deg=scan.width_deg, last_deg=scan.last_deg,
-        theta_step_deg=spec.theta_step_deg, phi_step_deg=spec.phi_step_deg,
+        theta_step_deg=spec.theta_step_deg, phi_step_deg=spec.phi_step_deg, step_deg=scan.step_deg,
     )  # fmt: skip
 
 
@@ -307,7 +317,10 @@ def _write(
 def _result(config: BrdfExperiment, stack: OpticalStack, one: Seen) -> xr.Dataset:
     """One reading's part of result.nc."""
     cut, dims = one.sphere, ("wavelength", "cut_angle")
-    error = one.samples["standard_error"].to_numpy() / np.abs(one.samples["value"].to_numpy())
+    value = one.samples["value"].to_numpy()
+    lit = value > 0
+    # A pixel that no path reached knows nothing: an error of all of it.
+    error = np.where(lit, one.samples["standard_error"].to_numpy() / np.where(lit, value, 1.0), 1.0)
     spec = config.goniometer
     flat, sphere = [], []
     for angle in config.lobes_deg:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from livlab.errors import InputError
-from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.materials import RIG_VARIANT, load_material, material_dict
 from livlab.model.tracer.variant import mitsuba
 from livlab.units import FloatArray
@@ -216,73 +215,3 @@ def _emitter(mi: Any, k: int, lamp: Lamp, centre: FloatArray, radius: float) -> 
 
 def _transform(mi: Any, matrix: FloatArray) -> Any:
     return mi.ScalarTransform4f(np.asarray(matrix, dtype=np.float64))
-
-
-def photograph_tissue_sphere(
-    view: View,
-    lamps: Sequence[Lamp],
-    centre_mm: FloatArray,
-    radius_mm: float,
-    stack: OpticalStack,
-    *,
-    samples: int = 64,
-    seed: int = 0,
-    variant: str | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """One picture a light of a sphere of tissue, at all of the stack's wavelengths, and the standard errors.
-
-    The sphere's layers are concentric spheres, so that no depth is looked up on a grid.
-
-    Returns
-    -------
-    (lights, height, width, W) arrays
-        Radiance in the lights' unit per sr, and its standard error.
-
-    Raises
-    ------
-    InputError
-        Layers as thick as the sphere, or a light within it.
-    """
-    from livlab.model.tracer.body import Body
-    from livlab.model.tracer.render import VARIANT, render
-
-    mi = mitsuba(variant or VARIANT)
-    depth = np.concatenate([[0.0], np.cumsum([x.thickness_mm for x in stack.layers[:-1]])])
-    if not depth[-1] < radius_mm:
-        raise InputError.of(
-            "radius_mm", radius_mm, f"the layers above the last reach {depth[-1]:g} mm deep", "Take a larger sphere."
-        )
-    balls = {f"ball{k}": _sphere(mi, centre_mm, radius_mm - float(d)) for k, d in enumerate(depth)}
-    body = Body(stack, tuple(balls))
-    values, errors = [], []
-    for k, lamp in enumerate(lamps):
-        scene = {
-            "type": "scene",
-            "sensor": sensor(mi, view, samples=1, sampler="independent", channels="luminance"),
-            **balls,
-            "lamp": _lamp_even(lamp, k, centre_mm, radius_mm),
-        }
-        seen = render(
-            scene, stack.wavelength_nm.tolist(), body=body, spp=samples, seed=(seed * 4099 + k) % 2**31,
-            variant=variant or VARIANT,
-        )  # fmt: skip
-        values.append(seen["radiance"].to_numpy())
-        errors.append(seen["radiance_se"].to_numpy())
-        if progress is not None:
-            progress(k + 1)
-    return np.stack(values), np.stack(errors)
-
-
-def _lamp_even(lamp: Lamp, k: int, centre: FloatArray, radius: float) -> dict[str, Any]:
-    """A lamp with the same power at every wavelength."""
-    power = np.unique(np.asarray(lamp.intensity, dtype=float))
-    if power.size != 1:
-        raise InputError.of(f"lights[{k}].intensity", lamp.intensity, "must be even for a tissue", "Give one number.")
-    even = {"type": "uniform", "value": float(power[0])}
-    if lamp.position_mm is None:
-        assert lamp.direction is not None
-        return {"type": "directional", "direction": [-float(x) for x in lamp.direction], "irradiance": even}
-    if np.linalg.norm(lamp.position_mm - centre) <= radius:
-        raise InputError.of(f"lights[{k}].position_mm", lamp.position_mm, "lies within the sphere", "Move it out.")
-    return {"type": "point", "position": [float(x) for x in lamp.position_mm], "intensity": even}
