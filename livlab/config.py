@@ -83,6 +83,7 @@ KINDS: dict[str, Kind] = {
     "optics": Kind("livlab.config_figures:OpticsExperiment", "livlab.study.optics_figures:prepare"),
     "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:prepare"),
     "picture": Kind("livlab.config_picture:PictureExperiment", "livlab.study.picture:prepare"),
+    "study": Kind("livlab.config_study:StudyExperiment", "livlab.study.study_job:prepare"),
 }
 """Every kind of experiment that a file can ask for with `kind = "…"`."""
 

@@ -1,8 +1,7 @@
-"""Jobs: a kind and a payload of plain values, known by their digest, each a pure function from JSON to JSON.
+"""Jobs of a study: plain data with a digest, an answer that follows from it alone, and whoever keeps and runs them.
 
-Where a job runs, and in which order, changes nothing: whatever it draws it draws from a seed made of the study's seed
-and its own digest. So results can be kept by digest (`livlab.study.store`) and jobs sent anywhere
-(`livlab.study.scheduler`).
+This is the seam to any scheduler: a job is JSON in, JSON out. `run_job` works in any process that can import livlab;
+what it answers depends on the job and on nothing else, so that an answer kept under the job's digest serves for ever.
 """
 
 from __future__ import annotations
@@ -10,239 +9,194 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol
 
-from livlab.errors import EnvironmentProblem, InputError, LivlabError
-from livlab.runs_work import Progress, Silent
+from livlab.errors import InputError, Interrupted
+from livlab.files import write_whole
 
-JOBS: dict[str, str] = {}
-"""Every kind of job as "module:function", imported on use; the function takes the payload and returns a dict."""
+ANSWER_VERSION = 1
+"""Raised whenever the same job would give other numbers than before; it is part of the digest."""
+
+Answer = dict[str, Any]
+"""Plain JSON types only."""
+
+EVALUATORS: dict[str, str] = {
+    "spectrum": "livlab.study.evaluate:spectrum",
+    "ledger": "livlab.study.evaluate:ledger",
+}
+"""What answers each kind of job, as "module:function" from payload to answer, imported on use."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be computed, in plain values.
+    """A piece of work: its kind, and all that decides its answer, as plain JSON types.
 
-    Attributes
-    ----------
-    kind
-        A key of `JOBS`.
-    payload
-        Numbers, strings, lists and dicts: all that decides the result.
+    Examples
+    --------
+    >>> Job("spectrum", {"b": 1, "a": 0.5}).digest == Job("spectrum", {"a": 0.5, "b": 1}).digest
+    True
     """
 
     kind: str
     payload: Mapping[str, Any]
 
     @cached_property
-    def text(self) -> str:
-        """The job as one line of JSON, keys sorted.
-
-        Raises
-        ------
-        InputError
-            The payload is not JSON, or holds nan or inf.
-        """
-        try:
-            return json.dumps(
-                {"kind": self.kind, "payload": self.payload}, sort_keys=True, separators=(",", ":"), allow_nan=False
-            )
-        except (TypeError, ValueError) as error:
-            raise InputError.of(
-                f"job {self.kind}", self.payload, f"must be JSON ({error})", "Use plain values."
-            ) from None
-
-    @cached_property
     def digest(self) -> str:
-        """SHA-256 of `text`: the job's identity.
-
-        >>> Job("walk", {"a": 1, "b": 2}).digest == Job("walk", {"b": 2, "a": 1}).digest
-        True
-        """
-        return hashlib.sha256(self.text.encode()).hexdigest()
-
-    def seed(self, study_seed: int) -> int:
-        """Seed of this job's random draws, 0 to 2³¹ − 1: a hash of the study's seed and the job's digest."""
-        mixed = hashlib.sha256(f"{study_seed}:{self.digest}".encode()).digest()
-        return int.from_bytes(mixed[:4], "big") >> 1
-
-    @classmethod
-    def read(cls, text: str) -> Job:
-        """The job of which `text` is the JSON."""
-        said = json.loads(text)
-        return cls(said["kind"], said["payload"])
+        """Hash of all that decides the answer; the same for the same content, whatever its order."""
+        parts = {"kind": self.kind, "payload": self.payload, "version": ANSWER_VERSION}
+        text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What came of a job: a result, or why there is none.
+class Store(Protocol):
+    """Where answers are kept by digest, whole or not at all."""
 
-    Attributes
-    ----------
-    job
-        The job.
-    result
-        Its result, None where it failed.
-    error
-        Why it failed.
-    """
+    def load(self, digest: str) -> Answer | None:
+        """The answer, or None if there is none that is sound."""
 
-    job: Job
-    result: dict[str, Any] | None = None
-    error: LivlabError | None = None
+    def save(self, digest: str, answer: Answer) -> None:
+        """Keep an answer."""
 
 
 class Scheduler(Protocol):
-    """Where jobs run."""
+    """Who runs jobs; the order in which they end is its own affair."""
 
-    def run(self, jobs: Sequence[Job], say: Callable[[str], None]) -> Iterator[Answer]:
-        """Answer every job once, in any order; closing the iterator drops what is not begun."""
-
-
-class Keeper(Protocol):
-    """Where results are kept: `livlab.study.store.Store`."""
-
-    def get(self, digest: str) -> dict[str, Any] | None:
-        """A result, or None."""
-
-    def put(self, digest: str, result: Mapping[str, Any]) -> None:
-        """Keep a result."""
+    def run(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Answer]]:
+        """Each job's number and answer, as it ends; closing the iterator gives the rest up."""
 
 
-class Local:
-    """Jobs one after the other in this process."""
+class LocalScheduler:
+    """One job after the other, in this process."""
 
-    def run(self, jobs: Sequence[Job], say: Callable[[str], None] = print) -> Iterator[Answer]:
-        """Answer every job once, in order."""
-        for job in jobs:
-            yield answer(job)
-
-
-class JobsFailed(LivlabError):
-    """Some jobs failed; the results of all others are kept."""
+    def run(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Answer]]:
+        """Each job's number and answer."""
+        for k, job in enumerate(jobs):
+            yield k, run_job(job)
 
 
-@dataclass
-class Tally:
-    """How the jobs of a call were answered."""
+class MemoryStore:
+    """Answers kept while the process lives."""
 
-    found: int = 0
-    computed: int = 0
-    failed: list[Answer] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.answers: dict[str, Answer] = {}
+
+    def load(self, digest: str) -> Answer | None:
+        """The answer, or None."""
+        return self.answers.get(digest)
+
+    def save(self, digest: str, answer: Answer) -> None:
+        """Keep an answer."""
+        self.answers[digest] = answer
 
 
-def run_job(job: Job) -> dict[str, Any]:
-    """Compute a job here and now.
+class FolderStore:
+    """Answers as files, each with its own hash: a damaged one is as good as none."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.damaged = 0
+
+    def load(self, digest: str) -> Answer | None:
+        """The answer, or None; a damaged file is put away and counted."""
+        path = self._path(digest)
+        try:
+            held = json.loads(path.read_text(encoding="utf-8"))
+            if held["sha256"] != _hash(held["answer"]) or held["digest"] != digest:
+                raise ValueError("its hash differs")
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError):
+            self.damaged += 1
+            path.unlink(missing_ok=True)
+            return None
+        answer: Answer = held["answer"]
+        return answer
+
+    def save(self, digest: str, answer: Answer) -> None:
+        """Keep an answer."""
+        path = self._path(digest)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json.dumps({"digest": digest, "sha256": _hash(answer), "answer": answer}))
+
+    def _path(self, digest: str) -> Path:
+        return self.folder / digest[:2] / f"{digest}.json"
+
+
+def run_job(job: Job) -> Answer:
+    """What a job answers: a pure function of the job.
 
     Raises
     ------
     InputError
-        No such kind, or a result that is not JSON.
-    LivlabError
-        Whatever the job raises.
+        An unknown kind of job.
     """
-    if job.kind not in JOBS:
-        raise InputError.of("job", job.kind, f"must be one of {', '.join(sorted(JOBS))}", "Name a kind there is.")
-    module, _, name = JOBS[job.kind].partition(":")
-    made = getattr(importlib.import_module(module), name)(job.payload)
-    try:
-        # What is kept and what was just computed shall be the same thing.
-        result = json.loads(json.dumps(made))
-    except (TypeError, ValueError) as error:
-        raise InputError.of(f"result of {job.kind}", made, f"must be JSON ({error})", "Mend the job.") from None
-    if not isinstance(result, dict):
-        raise InputError.of(f"result of {job.kind}", made, "must be a dict", "Mend the job.")
-    return result
-
-
-def answer(job: Job) -> Answer:
-    """Compute a job here; what livlab raises on purpose becomes part of the answer."""
-    try:
-        return Answer(job, run_job(job))
-    except LivlabError as error:
-        return Answer(job, None, error)
+    if job.kind not in EVALUATORS:
+        raise InputError.of("job.kind", job.kind, f"must be one of {', '.join(EVALUATORS)}", "Pick one.")
+    module, _, name = EVALUATORS[job.kind].partition(":")
+    answer: Answer = getattr(importlib.import_module(module), name)(job.payload)
+    return answer
 
 
 def run_jobs(
-    jobs: Iterable[Job],
+    jobs: Sequence[Job],
     scheduler: Scheduler | None = None,
-    store: Keeper | None = None,
-    progress: Progress | None = None,
-    *,
-    task: str = "jobs",
-    stop: Callable[[], None] | None = None,
-    tally: Tally | None = None,
-) -> list[dict[str, Any]]:
-    """Compute jobs, or find that they have been.
+    store: Store | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    stopping: Callable[[], bool] | None = None,
+) -> list[Answer]:
+    """The answers of jobs, in their order; what the store has is not done again, and equal jobs are done once.
 
     Parameters
     ----------
     jobs
-        In any number; equal ones are computed once.
+        What is to be answered.
     scheduler
-        Where they run; in this process if not said.
+        Who runs them; this process if not said.
     store
-        Where results are looked up and kept; nowhere if not said.
+        Where answers are looked up and kept, each as soon as it is there.
     progress
-        Told how far it is, under the name `task`.
-    stop
-        Called after every answer that was kept; may raise to end here (`Run.stop_if_asked`).
-    tally
-        Filled in with how many were found and computed.
-
-    Returns
-    -------
-    The results in the order of the jobs.
+        Called with how many are answered, and of how many.
+    stopping
+        Asked after each answer whether the user wants to stop.
 
     Raises
     ------
-    JobsFailed
-        After all others were answered and kept: some failed. `EnvironmentProblem` if the first failed by one.
+    Interrupted
+        The user wanted to stop; what was answered is in the store.
     """
-    progress, tally = progress or Silent(), tally if tally is not None else Tally()
-    wanted = list(jobs)
-    known: dict[str, dict[str, Any]] = {}
-    left: dict[str, Job] = {}
-    for job in wanted:
-        found = store.get(job.digest) if store is not None and job.digest not in left else None
-        if found is not None:
-            known[job.digest] = found
-        elif job.digest not in known:
-            left[job.digest] = job
-    tally.found = len(known)
-    count = len(known) + len(left)
-    if left:
-        answers = (scheduler or Local()).run(list(left.values()), progress.say)
-        try:
-            for got in answers:
-                if got.result is None:
-                    tally.failed.append(got)
-                else:
-                    known[got.job.digest] = got.result
-                    tally.computed += 1
-                    if store is not None:
-                        store.put(got.job.digest, got.result)
-                progress.advance(task, (len(known) + len(tally.failed)) / count, f"{len(known)} of {count}")
-                if stop is not None:
-                    stop()
-        finally:
-            close = getattr(answers, "close", None)
-            if close is not None:
-                close()
-    if tally.failed:
-        raise _failed(tally.failed, count)
-    return [known[job.digest] for job in wanted]
+    scheduler, store = scheduler or LocalScheduler(), store if store is not None else MemoryStore()
+    found: dict[str, Answer] = {}
+    wanted: dict[str, Job] = {}
+    for job in jobs:
+        if job.digest not in found and job.digest not in wanted:
+            kept = store.load(job.digest)
+            if kept is None:
+                wanted[job.digest] = job
+            else:
+                found[job.digest] = kept
+    tell = progress or (lambda done, total: None)
+    total = len(found) + len(wanted)
+    tell(len(found), total)
+    open_jobs = list(wanted.values())
+    running = scheduler.run(open_jobs)
+    try:
+        for number, answer in running:
+            digest = open_jobs[number].digest
+            store.save(digest, answer)
+            found[digest] = answer
+            tell(len(found), total)
+            if stopping is not None and stopping() and len(found) < total:
+                raise Interrupted("The study was stopped.", remedy="Give the same command again.")
+    finally:
+        close = getattr(running, "close", None)
+        if close is not None:
+            close()
+    return [found[job.digest] for job in jobs]
 
 
-def _failed(failed: Sequence[Answer], count: int) -> LivlabError:
-    first = failed[0]
-    error = first.error or InputError("It gave no result.")
-    kind = EnvironmentProblem if isinstance(error, EnvironmentProblem) else JobsFailed
-    which = ", ".join(f"{x.job.kind} {x.job.digest[:12]}" for x in failed[:8]) + (" …" if len(failed) > 8 else "")
-    return kind(
-        f"{len(failed)} of {count} jobs failed ({which}); the others' results are kept. The first: {error.message}",
-        remedy=error.remedy,
-    )
+def _hash(answer: Answer) -> str:
+    return hashlib.sha256(json.dumps(answer, sort_keys=True).encode()).hexdigest()
