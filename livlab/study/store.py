@@ -49,7 +49,7 @@ class Store:
     trust_shared: bool = True
     notes: list[str] = field(default_factory=list)
 
-    def get(self, digest: str) -> dict[str, Any] | None:
+    def load(self, digest: str) -> dict[str, Any] | None:
         """Look a result up.
 
         Parameters
@@ -73,7 +73,7 @@ class Store:
                 write_whole(self._made(self.folder, digest), _sealed(digest, found, self.versions))
         return found
 
-    def put(self, digest: str, result: Mapping[str, Any]) -> None:
+    def save(self, digest: str, answer: Mapping[str, Any]) -> None:
         """Keep a result, whole or not at all.
 
         Raises
@@ -83,7 +83,7 @@ class Store:
         EnvironmentProblem
             The folder cannot be written.
         """
-        text = _sealed(digest, result, self.versions)
+        text = _sealed(digest, answer, self.versions)
         write_whole(self._made(self.folder, digest), text)
         if self.shared is None:
             return
