@@ -66,7 +66,7 @@ def calibrate_colour(picture: NDArray[np.floating], name: str = "chart") -> Colo
         raise InputError.of(name, "black", "shows nothing", "Light the chart.")
     # The detector knows the chart as pictures show it: encoded, 8 bits, blue first.
     shown = np.clip(np.nan_to_num(linear) / top, 0, 1) ** (1 / 2.2)
-    detector = cv2.mcc.CCheckerDetector_create()
+    detector = cv2.mcc.CCheckerDetector.create()
     detector.setColorChartType(cv2.mcc.MCC24)
     found = detector.process(np.ascontiguousarray((255 * shown[..., ::-1]).round().astype(np.uint8)), 1)
     charts = detector.getListColorChecker() if found else ()
@@ -77,7 +77,7 @@ def calibrate_colour(picture: NDArray[np.floating], name: str = "chart") -> Colo
             "shows no colour chart of 24 patches that can be found",
             "Take it flat, evenly lit, sharp, unrotated by more than 20 degrees, and a quarter of the frame at least.",
         )
-    patches = np.array([_patch(linear, quad) for quad in charts[0].getColorCharts().reshape(PATCHES, 4, 2)])
+    patches = np.array([_patch(linear, quad) for quad in np.reshape(charts[0].getColorCharts(), (PATCHES, 4, 2))])
     if not np.all(np.isfinite(patches)) or np.any(patches.max(axis=1) <= 0):
         raise InputError.of(name, "a patch is black or not finite", "must be exposed", "Expose the chart longer.")
     white = patches[18]

@@ -18,7 +18,7 @@ def difference(first: xr.Dataset, second: xr.Dataset) -> dict[str, float]:
     """Difference of two BRDFs, samples or tables, over the samples (or middles of cells) of the first.
 
     The second is looked up in its cells, samples being merged first. Weights are cos θ_i cos θ_o, so that grazing
-    directions, where any BRDF is large and ill known, do not decide.
+    directions, where any BRDF is large and ill known, do not decide. A grey file is compared with the mean of the other's channels.
 
     Returns
     -------
@@ -44,11 +44,13 @@ def difference(first: xr.Dataset, second: xr.Dataset) -> dict[str, float]:
     """
     a = first if first.attrs.get("kind") == "BRDF samples" else cells_as_samples(first)
     b = merge(second) if second.attrs.get("kind") == "BRDF samples" else second
-    if a.sizes["channel"] != b.sizes["channel"]:
+    if a.sizes["channel"] != b.sizes["channel"] and 1 not in (a.sizes["channel"], b.sizes["channel"]):
         counts = f"{a.sizes['channel']} and {b.sizes['channel']} channels"
         raise InputError.of("files", counts, "must have as many channels", "Compare files of one kind.")
     wi, wo = a["wi"].values, a["wo"].values
     x, y = a["value"].values, lookup(b, wi, wo)
+    if x.shape[1] != y.shape[1]:
+        x, y = x.mean(axis=1, keepdims=True), y.mean(axis=1, keepdims=True)
     both = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
     if both.sum() < 3:
         raise InputError.of("files", int(both.sum()), "have fewer than three directions in common", "Check the files.")
