@@ -19,14 +19,8 @@ from numpy.typing import NDArray
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.field import Field
-from livlab.model.tracer.flight import Flights
-from livlab.model.tracer.kernel import Kernel, Plan
 from livlab.model.tracer.lights import Lights
-from livlab.model.tracer.media import media
-from livlab.model.tracer.medium import Medium
-from livlab.model.tracer.variant import mitsuba
-from livlab.model.transport.device import LANES, Device
+from livlab.model.tracer.tracer import Rays, Tracer
 from livlab.model.transport.rng import uniform
 from livlab.units import FloatArray
 
@@ -34,7 +28,6 @@ CELLS = 64
 """Cells of a sphere's distance field along its diameter."""
 
 PASS_PATHS = 1 << 18
-MAX_STEPS = 100_000
 GOLDEN = 0.6180339887498949
 
 
@@ -117,13 +110,11 @@ def exits(
         raise InputError.of(
             "radius_mm", radius_mm, f"the layers above the last reach {depth:g} mm deep", "Take a larger sphere."
         )
-    tracer = _Tracer(stack, radius_mm, distance_mm, min(paths, PASS_PATHS), variant)
-    passes = math.ceil(paths / tracer.rows)
-    parts, troubles = [], 0
+    sphere = _Sphere(stack, radius_mm, distance_mm, min(paths, PASS_PATHS), variant)
+    passes = math.ceil(paths / sphere.rows)
+    parts = []
     for k in range(passes):
-        part, lost = tracer.run(seed, k)
-        parts.append(part)
-        troubles += lost
+        parts.append(sphere.run(seed, k))
         if progress is not None:
             progress((k + 1) / passes)
     columns = len(stack.wavelength_nm)
@@ -134,75 +125,57 @@ def exits(
     direction = every[:, columns : columns + 3].astype(np.float64) / first[:, None] - 2.0
     left = weight[:, 0] > 0
     direction = np.where(left[:, None], direction, 0.0)
-    row = np.tile(np.arange(tracer.rows), passes)
+    row = np.tile(np.arange(sphere.rows), passes)
     return Exits(
-        np.sqrt((row + 0.5) / tracer.rows),
+        np.sqrt((row + 0.5) / sphere.rows),
         2 * np.pi * np.mod((row + 0.5) * GOLDEN, 1.0),
         direction,
         weight,
         time.perf_counter() - started,
-        troubles,
+        sum(sphere.tracer.troubles.values()),
     )
 
 
-class _Tracer:
-    """The tracer's kernel on a sphere, its film a list of paths."""
+class _Sphere:
+    """The tracer on a sphere of tissue, its film a list of paths."""
 
-    def __init__(
-        self, stack: OpticalStack, radius: float, distance: float, rows: int, variant: Literal["llvm", "cuda"]
-    ) -> None:
-        mi = mitsuba(f"{variant}_ad_spectral")
-        import drjit as dr
-
-        self.mi, self.dr, self.rows = mi, dr, rows
-        d = Device(variant, dr, mi.Float, mi.Float64, mi.UInt32, mi.UInt64, mi.Int32, mi.Int64, mi.Bool, mi.PCG32)
+    def __init__(self, stack: OpticalStack, radius: float, distance: float, rows: int, backend: str) -> None:
+        self.rows = rows
         wide = _with_direction(stack)
-        scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere", "radius": float(radius)}}, optimize=False)
-        body = Body(wide, ("ball",), distances=SphereDistances.of(radius))
-        assert body.distances is not None
-        field = Field.load(mi, dr, body.distances, 1.0)
-        medium = Medium(d, mi, media(wide, room_mm=field.deepest))
-        lights = _Directions(d, mi, scene, wide.wavelength_nm, medium.m.padded)
-        self.padded = lights.padded
-        plan = Plan(
-            rows=rows,
-            lanes=min(LANES[variant], rows),
-            pixels=rows,
-            samples=1,
-            estimator="expected",
-            max_steps=MAX_STEPS,
+        self.tracer = Tracer(
+            {"type": "scene", "ball": {"type": "sphere", "radius": float(radius)}},
+            wide.wavelength_nm,
+            Body(wide, ("ball",), distances=SphereDistances.of(radius)),
+            variant=f"{backend}_ad_spectral",
+            rays=lambda d, mi: _rays(d, mi, radius, distance, rows),
+            shape=(1, rows),
         )
-        size = 2.0 * radius
-        flights = Flights(medium, body, field, size)
-        self.d = d
-        self.kernel = Kernel(
-            d, mi, scene, medium, flights, list(scene.shapes()), lights, self._camera(radius, distance), size, plan
-        )
+        t = self.tracer
+        t.kernel.lights = _Directions(t.d, t.mi, t.scene, t.wavelengths, t.padded)
 
-    def _camera(self, radius: float, distance: float) -> Callable[[Any, Any], tuple[Any, Any]]:
-        dr, mi, d = self.dr, self.mi, self.d
-        rows = dr.opaque(mi.Float, float(self.rows))
-        far = math.isinf(distance)
-        start = dr.opaque(mi.Float, 2.0 * radius if far else distance)
-        widest = dr.opaque(mi.Float, radius if far else radius / math.sqrt(distance**2 - radius**2))
+    def run(self, seed: int, batch: int) -> NDArray[np.float32]:
+        """(rows, padded) what each path's film holds."""
+        return self.tracer.launch(1, 1, seed, batch).reshape(self.rows, self.tracer.padded)
 
-        def camera(stream: Any, row: Any) -> tuple[Any, Any]:
-            turn = (mi.Float(row) + 0.5) * GOLDEN
-            c, s = dr.cos(2 * np.pi * (turn - dr.floor(turn))), dr.sin(2 * np.pi * (turn - dr.floor(turn)))
-            rho = widest * dr.sqrt((mi.Float(row) + uniform(d, stream.next_uint32())) / rows)
-            if far:
-                return mi.Point3f(rho * c, rho * s, start), mi.Vector3f(0.0, 0.0, -1.0)
-            return mi.Point3f(0.0, 0.0, start), dr.normalize(mi.Vector3f(rho * c, rho * s, -1.0))
 
-        return camera
+def _rays(d: Any, mi: Any, radius: float, distance: float, rows: int) -> Rays:
+    """Rays from an eye on the +z axis, even over the outline's disc, one ring a row."""
+    dr = d.dr
+    count = dr.opaque(mi.Float, float(rows))
+    far = math.isinf(distance)
+    start = dr.opaque(mi.Float, 2.0 * radius if far else distance)
+    widest = dr.opaque(mi.Float, radius if far else radius / math.sqrt(distance**2 - radius**2))
 
-    def run(self, seed: int, batch: int) -> tuple[NDArray[np.float32], int]:
-        """(rows, W + 3) what each path's film holds, and the number in trouble."""
-        film = self.dr.zeros(self.mi.Float, self.rows * self.padded)
-        self.dr.eval(film)
-        troubles = np.array(self.kernel.trace(film, seed, batch)).astype(np.int64)
-        lost = int(((troubles & 0xFFFF) + (troubles >> 16)).sum())
-        return np.array(film).reshape(self.rows, self.padded), lost
+    def cast(stream: Any, row: Any) -> tuple[Any, Any]:
+        turn = (mi.Float(row) + 0.5) * GOLDEN
+        angle = 2.0 * math.pi * (turn - dr.floor(turn))
+        rho = widest * dr.sqrt((mi.Float(row) + uniform(d, stream.next_uint32())) / count)
+        x, y = rho * dr.cos(angle), rho * dr.sin(angle)
+        if far:
+            return mi.Point3f(x, y, start), mi.Vector3f(0.0, 0.0, -1.0)
+        return mi.Point3f(0.0, 0.0, start), dr.normalize(mi.Vector3f(x, y, -1.0))
+
+    return cast
 
 
 class _Directions(Lights):
