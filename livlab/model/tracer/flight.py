@@ -166,6 +166,6 @@ class Flights:
         """Keep account of a step."""
         since = place.since + path if self.medium.short else ()
         if self.field is None:
-            return Place((), (), (), (), since)
+            return Place((), place.inward, (), (), since)
         depth = place.depth + flight.slope * path if self.layered else place.depth
         return Place(depth, place.inward, place.trust - path, place.clear - path, since)

@@ -16,6 +16,7 @@ from livlab.model.tracer.flight import FAR, Flight, Flights
 from livlab.model.tracer.lights import Lights
 from livlab.model.tracer.medium import NONE, Medium
 from livlab.model.tracer.meeting import meet
+from livlab.model.tracer.peel import Peel
 from livlab.model.tracer.state import Ledger, Place, State
 from livlab.model.transport import rng as random
 from livlab.model.transport.device import Device
@@ -33,23 +34,13 @@ class Plan:
     ----------
     rows, lanes
         Rows of the film, and lanes that share them: lane i follows rows i, i + lanes, ...
-    pixels
-        Rows repeat the picture's pixels: row r is of pixel r mod pixels.
-    samples, mirrored
-        Samples of a row that enter the tissue at the first surface, and that are reflected there.
-    estimator
-        "expected" or "analog".
-    max_steps
-        Steps after which a path is given up.
+    samples
+        Paths of a row.
     """
 
     rows: int
     lanes: int
-    pixels: int
     samples: int
-    mirrored: int
-    estimator: str
-    max_steps: int
 
 
 @dataclass
@@ -80,24 +71,29 @@ class Kernel:
         lights: Lights,
         camera: Callable[[Any, Any], tuple[Any, Any]],
         size: float,
-        plan: Plan,
+        estimator: str,
+        max_steps: int,
     ) -> None:
         self.d, self.mi, self.dr, self.scene = d, mi, d.dr, scene
         self.medium, self.flights, self.shapes, self.lights = medium, flights, shapes, lights
-        self.camera, self.plan = camera, plan
+        self.camera = camera
+        self.max_steps = d.dr.opaque(mi.UInt32, max_steps)
         self.least = d.dr.opaque(mi.Float, 0.01 * CREEP * size)
         self.width = len(lights.wavelengths)
         self.padded = lights.padded
-        self.analog = plan.estimator == "analog"
+        self.analog = estimator == "analog"
+        self.peel = Peel(self, size) if medium is not None and lights.lamps else None
         self.forces = medium is not None and medium.lossy and not self.analog
 
-    def start(self, stream: Any) -> State:
+    def start(self, stream: Any, n: int) -> State:
         """The first path of every lane."""
-        dr, mi, n = self.dr, self.mi, self.plan.lanes
+        dr, mi = self.dr, self.mi
         zero = dr.zeros(mi.Float, n)
         row = dr.arange(mi.UInt32, n)
         m = self.medium
         place = Place((), (), (), (), zero if m is not None and m.short else ())
+        if self.peel is not None:
+            place.inward = dr.zeros(mi.Vector3f, n)
         if self.flights is not None and self.flights.field is not None:
             place = Place(zero, dr.zeros(mi.Vector3f, n), zero, zero, place.since)
         ledger = Ledger([], [], [], (), (), dr.ones(mi.Float, n), [])
@@ -146,15 +142,15 @@ class Kernel:
             ledger.first = choose(NONE, ledger.first) if m.first else ()
         return s
 
-    def trace(self, film: Any, seed: int, batch: int) -> Any:
-        """Follow all samples of the plan; adds radiance to the film and returns the lanes' troubles."""
+    def trace(self, film: Any, plan: Plan, seed: int, number: int) -> Any:
+        """Follow all samples of a plan; adds radiance to the film's rows and returns the lanes' troubles."""
         dr, mi = self.dr, self.mi
-        stream = random.streams(self.d, self.plan.lanes, seed, batch)
-        state = self.start(stream)
-        rows = dr.opaque(mi.UInt32, self.plan.rows)
+        stream = random.streams(self.d, plan.lanes, seed, number)
+        self.rows, self.lanes, self.samples = (dr.opaque(mi.UInt32, n) for n in (plan.rows, plan.lanes, plan.samples))
+        state = self.start(stream, plan.lanes)
         state = dr.while_loop(
             (state,),
-            lambda s: s.row < rows,
+            lambda s: s.row < self.rows,
             lambda s: (self.step(s, film),),
             labels=("s",),
             label="tracer",
@@ -181,15 +177,12 @@ class Kernel:
             if self.flights.layered:
                 longest = dr.select(outside, longest, flight.reach)
         hit = self.hit(s, cast, longest)
-        mirror = s.turn >= self.plan.samples
-        # A mirrored sample is there for the first surface alone: what else the camera sees, the others tell.
-        idle = outside & s.fresh & mirror & ~(hit.body & hit.outward)
-        missed, lamp = outside & ~hit.valid & ~idle, outside & hit.valid & ~hit.body & ~idle
+        missed, lamp = outside & ~hit.valid, outside & hit.valid & ~hit.body
         seen = [
             x + y
             for x, y in zip(self.lights.surrounding(s, missed), self.lights.met(hit, lamp & ~s.covered), strict=True)
         ]
-        ended = outside & (~hit.valid | hit.other) | idle
+        ended = outside & (~hit.valid | hit.other)
         if m is None or flight is None or self.flights is None:
             self.deposit(film, s, [s.ledger.common * x for x in seen])
         else:
@@ -208,9 +201,9 @@ class Kernel:
             path = dr.select(lost, over, dr.select(inside, path, 0.0))
             stays = inside & ~exits & ~stray & ~lost
             meets, barrier = stays & flight.meets, stays & flight.barrier
-            enters = outside & hit.body & hit.outward & ~idle
+            enters = outside & hit.body & hit.outward
             passes = outside & hit.body & ~hit.outward & ~s.fresh
-            begins = outside & hit.body & ~hit.outward & s.fresh & ~mirror
+            begins = outside & hit.body & ~hit.outward & s.fresh
             place = self.account(s, place, flight, path)
             s.p = dr.fma(dr.select(passes, hit.t + creep, path), s.d, s.p)
             s.p = dr.select(enters | exits, hit.si.p, s.p)
@@ -224,7 +217,7 @@ class Kernel:
             s.fresh &= inside | passes
             ended |= dead
         s.steps = s.steps + 1
-        given_up = (s.steps >= self.plan.max_steps) & ~ended
+        given_up = (s.steps >= self.max_steps) & ~ended
         s.troubles = s.troubles + dr.select(given_up, mi.UInt32(1), 0) + dr.select(lost, mi.UInt32(1 << 16), 0)
         return self.next(s, ended | given_up)
 
@@ -232,9 +225,9 @@ class Kernel:
         """Turn to the lane's next sample."""
         dr, mi = self.dr, self.mi
         turn = s.turn + dr.select(done, mi.UInt32(1), 0)
-        over = turn >= self.plan.samples + self.plan.mirrored
+        over = turn >= self.samples
         s.turn = dr.select(over, 0, turn)
-        s.row = s.row + dr.select(over, mi.UInt32(self.plan.lanes), 0)
+        s.row = s.row + dr.select(over, self.lanes, 0)
         return self.renew(s, done)
 
     def creep(self, p: Any) -> Any:
@@ -243,24 +236,32 @@ class Kernel:
         return dr.fma(dr.maximum(dr.maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z)), CREEP, self.least)
 
     def hit(self, s: State, cast: Any, longest: Any) -> Hit:
-        """Cast a ray."""
-        dr, mi = self.dr, self.mi
-        ray = mi.Ray3f(s.p, s.d)
+        """Cast a lane's ray."""
+        ray = self.mi.Ray3f(s.p, s.d)
         ray.maxt = longest
+        return self.meet_surface(ray, cast, self.mi.RayFlags.Minimal | self.mi.RayFlags.ShadingFrame)
+
+    def hit_surface(self, p: Any, d: Any, cast: Any) -> Hit:
+        """Cast a ray from inside to the surface, to learn its curvature there, too."""
+        flags = self.mi.RayFlags.ShadingFrame | self.mi.RayFlags.dPdUV | self.mi.RayFlags.dNSdUV
+        return self.meet_surface(self.mi.Ray3f(p, d), cast, flags)
+
+    def meet_surface(self, ray: Any, cast: Any, flags: Any) -> Hit:
+        """What a ray meets."""
+        dr, mi = self.dr, self.mi
         found = self.scene.ray_intersect_preliminary(ray, coherent=False, active=cast)
         valid = cast & found.is_valid()
-        flags = mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame
-        si = found.compute_surface_interaction(ray, flags | mi.RayFlags.dPdUV, valid)
+        si = found.compute_surface_interaction(ray, flags, valid)
         interface, body = mi.UInt32(0), mi.Bool(False)
         for k, shape in enumerate(self.shapes):
             mine = found.shape == shape
             body |= mine
             interface = dr.select(mine, mi.UInt32(k), interface)
         body &= valid
-        outward = dr.dot(si.n, s.d) < 0.0
+        outward = dr.dot(si.n, ray.d) < 0.0
         # A normal of the smoothed surface that looks away from the ray would send light through it.
         smooth = si.sh_frame.n
-        agrees = (dr.dot(smooth, s.d) < 0.0) == outward
+        agrees = (dr.dot(smooth, ray.d) < 0.0) == outward
         normal = dr.select(agrees, smooth, si.n)
         return Hit(valid, body, valid & ~body, interface, dr.select(valid, found.t, FAR), normal, outward, si)
 

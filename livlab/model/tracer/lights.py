@@ -122,6 +122,21 @@ class Lights:
         found = dr.select(lit, emitter.eval(hit.si, lit)[0], 0.0)
         return self.emission(number, found)
 
+    def arriving(self, lamp: Any, it: Any, sample: Any, active: Any) -> tuple[list[Any], Any]:
+        """What a lamp sends to a place at each wavelength, over the density of the sample; and the way to it."""
+        dr, mi = self.dr, self.mi
+        k = self.all.index(lamp)
+        if self.textured[k]:
+            out: list[Any] = []
+            for group in groups(self.grid):
+                it.wavelengths = mi.UnpolarizedSpectrum(*group)
+                ds, found = lamp.sample_direction(it, sample, active)
+                out += [found[j] for j in range(GROUP)]
+            return out[: len(self.wavelengths)], ds
+        it.wavelengths = mi.UnpolarizedSpectrum(dr.opaque(mi.Float, self.reference[k]))
+        ds, found = lamp.sample_direction(it, sample, active)
+        return self.emission(mi.UInt32(k) + dr.zeros(mi.UInt32, dr.width(active)), found[0]), ds
+
     def _groups(self, si: Any, value: Any, active: Any) -> list[Any]:
         out: list[Any] = []
         for group in groups(self.grid):

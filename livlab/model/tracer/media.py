@@ -127,7 +127,7 @@ def media(
     if bottom < room_mm or hollow:
         layers.append(PlaneLayer("below", math.inf, stack.n_below))
     count = len(stack.wavelength_nm)
-    padded = _padded(count)
+    padded = padded_width(count)
     walk = tables(OpticalStack(stack.wavelength_nm, tuple(layers), stack.n_above, stack.n_below), "expected")
     extinction = np.array([sum((i.rate for i in x.interactions), np.zeros(count)) for x in layers]) * mm_per_unit
     scattering = np.array([_scattering(x) for x in layers]) * mm_per_unit
@@ -160,7 +160,7 @@ def media(
     )
 
 
-def _padded(count: int) -> int:
+def padded_width(count: int) -> int:
     """Length of a row that loads in packets of 1, 2, 4 or eights."""
     return next((n for n in (1, 2, 4) if count <= n), 8 * math.ceil(count / 8))
 

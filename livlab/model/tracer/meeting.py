@@ -40,7 +40,7 @@ def meet(
     w = events.polar(d, m.m.walk, m.table, kind, g, offset, random.uniform(d, bits))
     cosine, sine = events.turn(d, random.uniform(d, azimuth))
     turned = mi.Vector3f(*events.rotate(d, (s.d.x, s.d.y, s.d.z), w, cosine, sine))
-    asks = meets & ~(short & (base < 0.0)) if m.short and not m.tabled else meets
+    asks = meets & ~(short & (base < 0.0))
     light(kernel, film, s, place, flight, asks, (code, g, base), seen)
     # The first meeting in a layer that absorbs is survived by weight, all others by chance.
     drawn = random.fine_uniform(d, s.stream.next_uint32())
@@ -88,7 +88,37 @@ def light(
     seen: list[Any],
 ) -> None:
     """Weigh what light was met, or reaches the place of a meeting from a lamp, at every wavelength."""
-    assert kernel.medium is not None
-    zero = [kernel.mi.Float(0.0)] * kernel.width
-    weight = kernel.medium.weights(s.ledger, zero, None, zero)
-    kernel.deposit(film, s, [s.ledger.common * w * x for w, x in zip(weight, seen, strict=True)])
+    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    assert m is not None
+    zero = [mi.Float(0.0)] * kernel.width
+    if kernel.peel is None:
+        weight = m.weights(s.ledger, zero, None, zero)
+        kernel.deposit(film, s, [s.ledger.common * w * x for w, x in zip(weight, seen, strict=True)])
+        return
+    code, g, base = way
+    tabled = base >= 0.0 if m.tabled else mi.Bool(False)
+    start = mi.UInt32(dr.maximum(base, 0.0))
+    rate = dr.gather(mi.Float, m.log_scattered, flight.layer * m.m.padded + s.hero, asks)
+
+    def density(w: Any) -> Any:
+        """Phase function at the hero's wavelength."""
+        value = m.log_phase(code, g, w)
+        if m.tabled:
+            row = dr.gather(mi.Float, m.rows, (start + mi.UInt32(m.cell(w))) * m.m.padded + s.hero, asks & tabled)
+            value = dr.select(tabled, row - rate, value)
+        return dr.exp(value)
+
+    asked = kernel.peel.ask(s, place, flight, asks, density)
+    here = asked.active
+    scattered = m.packet(m.log_scattered, flight.layer, m.m.padded)
+    closed = m.log_phase(code, g, asked.w)
+    extra = [x + closed for x in scattered]
+    if m.tabled:
+        rows = m.packet(m.rows, start + mi.UInt32(m.cell(asked.w)), m.m.padded)
+        extra = [dr.select(tabled, y, x) for x, y in zip(extra, rows, strict=True)]
+    extra = [dr.select(here, x, 0.0) for x in extra]
+    met = [dr.select(here, x, 0.0) for x in m.packet(m.log_met, flight.layer, m.m.padded)]
+    lengths = [dr.select(here, x, 0.0) for x in asked.lengths]
+    weight = m.weights(s.ledger, extra[: kernel.width], lengths, met)
+    value = [dr.select(here, x, y) for x, y in zip(asked.strength, seen, strict=True)]
+    kernel.deposit(film, s, [s.ledger.common * w * x for w, x in zip(weight, value, strict=True)])

@@ -1,0 +1,125 @@
+"""Sums of a picture: what every pixel has seen at each wavelength, and how much its samples differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from livlab.errors import InputError
+from livlab.units import FloatArray
+
+
+@dataclass
+class Film:
+    """Sums over rows of samples, in double precision.
+
+    Attributes
+    ----------
+    shape
+        Rows and columns of the picture.
+    wavelength_nm
+        (W,) wavelengths.
+    row_samples
+        Samples whose mean is one row: a pixel's error follows from how its rows differ.
+    total, squares
+        (pixel, W) sums of the rows, and of their squares.
+    rows
+        Rows summed up.
+    passes
+        Launches that made them: the next one's number, which its random numbers follow from.
+    """
+
+    shape: tuple[int, int]
+    wavelength_nm: FloatArray
+    row_samples: int
+    total: FloatArray = field(init=False)
+    squares: FloatArray = field(init=False)
+    rows: int = 0
+    passes: int = 0
+
+    def __post_init__(self) -> None:
+        size = (self.shape[0] * self.shape[1], len(self.wavelength_nm))
+        self.total, self.squares = np.zeros(size), np.zeros(size)
+
+    @property
+    def samples(self) -> int:
+        """Samples a pixel so far."""
+        return self.rows * self.row_samples
+
+    def add(self, values: Any, rows: int, padded: int) -> None:
+        """Add a launch: (row, pixel, padded wavelength) sums of each row, in single precision."""
+        seen = values.reshape(rows, len(self.total), padded)
+        for row in seen:
+            mean = row[:, : len(self.wavelength_nm)] * (1.0 / self.row_samples)
+            self.total += mean
+            self.squares += np.square(mean, dtype=np.float64)
+        self.rows += rows
+        self.passes += 1
+
+    def mean(self) -> FloatArray:
+        """(row, column, W) radiance."""
+        return (self.total / max(self.rows, 1)).reshape(*self.shape, -1)
+
+    def standard_error(self) -> FloatArray:
+        """(row, column, W) its standard error; NaN of a single row."""
+        if self.rows < 2:
+            return np.full((*self.shape, len(self.wavelength_nm)), np.nan)
+        spread = np.maximum(self.squares - np.square(self.total) / self.rows, 0.0)
+        return np.sqrt(spread / (self.rows - 1) / self.rows).reshape(*self.shape, -1)
+
+    def dataset(self) -> xr.Dataset:
+        """Radiance and standard error with their coordinates."""
+        dims = ("row", "column", "wavelength")
+        about = {"units": "radiance of the scene's sources"}
+        return xr.Dataset(
+            {
+                "radiance": (dims, self.mean(), about | {"long_name": "radiance"}),
+                "radiance_se": (dims, self.standard_error(), about | {"long_name": "standard error of the radiance"}),
+            },
+            coords={"wavelength": ("wavelength", self.wavelength_nm, {"units": "nm"})},
+        )
+
+    def state(self) -> xr.Dataset:
+        """All there is to go on from."""
+        dims = ("pixel", "wavelength")
+        return xr.Dataset(
+            {"total": (dims, self.total.copy()), "squares": (dims, self.squares.copy())},
+            coords={"wavelength": self.wavelength_nm},
+            attrs={
+                "shape": list(self.shape),
+                "row_samples": self.row_samples,
+                "rows": self.rows,
+                "passes": self.passes,
+            },
+        )
+
+    def take(self, state: xr.Dataset) -> None:
+        """Go on from an earlier state.
+
+        Raises
+        ------
+        InputError
+            If it is of another picture, or of rows of other length.
+        """
+        own = {"shape": list(self.shape), "row_samples": self.row_samples}
+        for name, value in own.items():
+            found = np.asarray(state.attrs.get(name)).tolist()
+            if found != value:
+                raise InputError.of(f"resume: {name}", found, f"is not this picture's ({value})", "Start anew.")
+        if not np.array_equal(state["wavelength"].to_numpy(), self.wavelength_nm):
+            raise InputError.of("resume: wavelengths", "others", "are not this picture's", "Start anew.")
+        self.total, self.squares = state["total"].to_numpy().copy(), state["squares"].to_numpy().copy()
+        self.rows, self.passes = int(state.attrs["rows"]), int(state.attrs["passes"])
+
+
+def row_samples(samples: int) -> int:
+    """Samples of a row: a divisor of all, so that rows stay many enough to tell the error, few enough to keep.
+
+    >>> [row_samples(n) for n in (1, 8, 128, 1000, 127)]
+    [1, 1, 8, 10, 1]
+    """
+    most = min(max(1, samples // 16), 16)
+    return max(k for k in range(1, most + 1) if samples % k == 0)

@@ -1,0 +1,220 @@
+"""A scene made ready: its shapes, lights and camera, the tissue's tables, and the kernel that follows paths in it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from livlab.errors import InputError
+from livlab.model.tracer.body import Body
+from livlab.model.tracer.field import Field
+from livlab.model.tracer.flight import Flights
+from livlab.model.tracer.kernel import Kernel, Plan
+from livlab.model.tracer.lights import Lights
+from livlab.model.tracer.media import media, padded_width
+from livlab.model.tracer.medium import Medium
+from livlab.model.tracer.variant import mitsuba
+from livlab.model.transport.device import Device
+from livlab.model.transport.rng import uniform
+from livlab.units import FloatArray
+
+VARIANT = "llvm_ad_spectral"
+LANES = {"llvm": 1 << 14, "cuda": 1 << 20}
+"""Paths in flight: enough for every core, few enough to stay in cache."""
+
+FILM_BYTES = 1 << 28
+"""Rows of a launch that are kept at once."""
+
+Rays = Callable[[Any, Any], tuple[Any, Any]]
+"""From a random stream and a pixel's number to the origin and direction of its ray."""
+
+
+class Tracer:
+    """Follows paths in one scene.
+
+    Parameters
+    ----------
+    scene
+        A scene as `mitsuba.load_dict` takes it, or a loaded one of the same variant.
+    wavelengths_nm
+        (W,) wavelengths; those of the body's stack.
+    body
+        The tissue; None: a scene without.
+    sensor
+        Which of the scene's cameras.
+    estimator
+        "expected" or "analog".
+    variant
+        A spectral variant of Mitsuba.
+    max_steps
+        Steps after which a path is given up.
+    rays, shape
+        In place of a camera: what casts rays, and the rows and columns it casts them for.
+
+    Raises
+    ------
+    InputError
+        A scene without camera, a surface that is none of its shapes, wavelengths that are not the stack's, a variant
+        without spectra.
+    EnvironmentProblem
+        The variant cannot run here.
+    """
+
+    def __init__(
+        self,
+        scene: Mapping[str, Any] | Any,
+        wavelengths_nm: FloatArray,
+        body: Body | None = None,
+        *,
+        sensor: int = 0,
+        estimator: str = "expected",
+        variant: str = VARIANT,
+        max_steps: int = 100_000,
+        rays: Callable[[Device, Any], Rays] | None = None,
+        shape: tuple[int, int] | None = None,
+    ) -> None:
+        self.wavelengths = np.asarray(wavelengths_nm, dtype=np.float64)
+        self.variant = variant
+        _check(self.wavelengths, body, estimator, variant, max_steps)
+        self.mi = mi = mitsuba(variant)
+        import drjit as dr
+
+        self.dr = dr
+        self.backend = variant.split("_", maxsplit=1)[0]
+        self.d = d = _device(mi, dr, self.backend)
+        try:
+            self.scene = mi.load_dict(dict(scene), optimize=False) if isinstance(scene, Mapping) else scene
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise InputError.of("scene", "", f"is not taken by Mitsuba ({error})", "Mend it.") from error
+        self.shapes = _surfaces(self.scene, body)
+        self.medium, self.flights, size = None, None, 1.0
+        if body is not None:
+            box = self.shapes[0].bbox()
+            size = float(max(box.extents()))
+            field = Field.load(mi, dr, body.distances, body.mm_per_unit) if body.distances is not None else None
+            deepest = field.deepest * body.mm_per_unit if field and not body.nested else 0.0
+            made = media(
+                body.stack, mm_per_unit=body.mm_per_unit, room_mm=deepest, split=body.nested, hollow=body.hollow
+            )
+            self.medium = Medium(d, mi, made)
+            self.flights = Flights(self.medium, body, field, size)
+        self.padded = padded_width(len(self.wavelengths))
+        lights = Lights(d, mi, self.scene, self.wavelengths, self.padded)
+        if rays is None:
+            self.shape, cast = self._camera(sensor)
+        else:
+            assert shape is not None
+            self.shape, cast = shape, rays(d, mi)
+        self.pixels = self.shape[0] * self.shape[1]
+        pixels = dr.opaque(mi.UInt32, self.pixels)
+        self.kernel = Kernel(
+            d,
+            mi,
+            self.scene,
+            self.medium,
+            self.flights,
+            self.shapes,
+            lights,
+            lambda stream, row: cast(stream, row % pixels),
+            size,
+            estimator,
+            max_steps,
+        )
+        self.troubles = {"given_up": 0, "strayed": 0}
+        self.seconds = self.compile_seconds = 0.0
+
+    def most_rows(self) -> int:
+        """Rows that one launch can hold."""
+        return max(1, FILM_BYTES // (4 * self.padded * self.pixels))
+
+    def launch(self, rows: int, samples: int, seed: int, number: int) -> NDArray[np.float32]:
+        """Follow `samples` paths for each of `rows` rows of every pixel: their sums, (row · pixel · padded,)."""
+        dr, mi = self.dr, self.mi
+        started = time.perf_counter()
+        count = rows * self.pixels
+        lanes = min(LANES[self.backend], count)
+        film = dr.zeros(mi.Float, count * self.padded)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            troubles = self.kernel.trace(film, Plan(count, lanes, samples), seed, number)
+            dr.sync_thread()
+            history = dr.kernel_history()
+        self.compile_seconds += 1e-3 * sum(h.get("codegen_time", 0.0) + h.get("backend_time", 0.0) for h in history)
+        found = np.array(troubles).astype(np.int64)
+        self.troubles["given_up"] += int((found & 0xFFFF).sum())
+        self.troubles["strayed"] += int((found >> 16).sum())
+        values = np.array(film)
+        self.seconds += time.perf_counter() - started
+        return values
+
+    def _camera(self, sensor: int) -> tuple[tuple[int, int], Rays]:
+        mi, dr, d = self.mi, self.dr, self.d
+        lenses = self.scene.sensors()
+        if not 0 <= sensor < len(lenses):
+            raise InputError.of("sensor", sensor, f"the scene has {len(lenses)} cameras", "Add one, or name another.")
+        lens = lenses[sensor]
+        columns, rows = (int(x) for x in lens.film().crop_size())
+        width = dr.opaque(mi.UInt32, columns)
+        across, down = dr.opaque(mi.Float, 1.0 / columns), dr.opaque(mi.Float, 1.0 / rows)
+        aperture = lens.needs_aperture_sample()
+
+        def cast(stream: Any, pixel: Any) -> tuple[Any, Any]:
+            row = pixel // width
+            column = pixel - row * width
+            u, v = uniform(d, stream.next_uint32()), uniform(d, stream.next_uint32())
+            place = mi.Point2f((mi.Float(column) + u) * across, (mi.Float(row) + v) * down)
+            lens_place = mi.Point2f(0.5, 0.5)
+            if aperture:
+                lens_place = mi.Point2f(uniform(d, stream.next_uint32()), uniform(d, stream.next_uint32()))
+            ray, _ = lens.sample_ray(mi.Float(0.0), mi.Float(0.5), place, lens_place)
+            return ray.o, ray.d
+
+        return (rows, columns), cast
+
+
+def _device(mi: Any, dr: Any, backend: str) -> Device:
+    """The walk's door to Dr.Jit, with the array types of Mitsuba's variant."""
+    return Device(
+        "cuda" if backend == "cuda" else "llvm",
+        dr,
+        mi.Float,
+        mi.Float64,
+        mi.UInt32,
+        mi.UInt64,
+        mi.Int32,
+        mi.Int64,
+        mi.Bool,
+        mi.PCG32,
+    )
+
+
+def _surfaces(scene: Any, body: Body | None) -> list[Any]:
+    shapes = []
+    for name in body.surfaces if body is not None else ():
+        found = [s for s in scene.shapes() if s.id() == name]
+        if len(found) != 1:
+            known = ", ".join(repr(s.id()) for s in scene.shapes())
+            raise InputError.of("surfaces", name, f"is not one of the scene's shapes ({known})", "Name one of them.")
+        shapes.append(found[0])
+    return shapes
+
+
+def _check(wavelengths: FloatArray, body: Body | None, estimator: str, variant: str, max_steps: int) -> None:
+    if wavelengths.ndim != 1 or not wavelengths.size or not (np.isfinite(wavelengths) & (wavelengths > 0)).all():
+        raise InputError.of("wavelengths_nm", wavelengths, "must be positive numbers", "Give them in nm.")
+    if body is not None and not np.array_equal(body.stack.wavelength_nm, wavelengths):
+        raise InputError.of(
+            "wavelengths_nm", wavelengths, "must be the stack's wavelengths", "Make the stack at these wavelengths."
+        )
+    if estimator not in {"expected", "analog"}:
+        raise InputError.of("estimator", estimator, "must be 'expected' or 'analog'", "Name one of the two.")
+    if "spectral" not in variant or "polarized" in variant or variant.startswith("scalar"):
+        raise InputError.of(
+            "variant", variant, "must be a compiled spectral one", "Use 'llvm_ad_spectral' or 'cuda_ad_spectral'."
+        )
+    if not 1 <= max_steps < 1 << 30:
+        raise InputError.of("max_steps", max_steps, "must be >= 1", "Allow at least one.")
