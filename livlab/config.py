@@ -63,10 +63,11 @@ class Experiment(Section):
 
 @dataclass(frozen=True)
 class Kind:
-    """Where one kind of experiment lives, as "module:attribute", imported on use."""
+    """Where one kind of experiment lives, as "module:attribute", imported on use, and whether it is made of jobs."""
 
     model: str
     job: str
+    jobs: bool = False
 
     def load_model(self) -> type[Experiment]:
         """The kind's pydantic model."""
@@ -83,7 +84,7 @@ KINDS: dict[str, Kind] = {
     "optics": Kind("livlab.config_figures:OpticsExperiment", "livlab.study.optics_figures:prepare"),
     "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:prepare"),
     "picture": Kind("livlab.config_picture:PictureExperiment", "livlab.study.picture:prepare"),
-    "study": Kind("livlab.config_study:StudyExperiment", "livlab.study.study_job:prepare"),
+    "study": Kind("livlab.config_study:StudyExperiment", "livlab.study.study_job:prepare", jobs=True),
 }
 """Every kind of experiment that a file can ask for with `kind = "…"`."""
 

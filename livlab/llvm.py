@@ -23,6 +23,9 @@ from livlab.errors import EnvironmentProblem
 from livlab.llvm_probe import VARIABLE, Verdict, probe
 
 OLDEST_MAJOR = 17
+THREADS = "LIVLAB_THREADS"
+"""Environment variable: threads of the processor that Dr.Jit may use in this process; all cores if it is not set."""
+
 TESTED_MAJORS = (19, 20, 18, 17)
 """The walk met its reference values with each of these; the first is preferred."""
 

@@ -77,6 +77,8 @@ def execute(
     command: str = "",
     progress: Progress | None = None,
     report: bool = True,
+    scheduler: str = "local",
+    shared: Path | None = None,
 ) -> Outcome:
     """Run an experiment, or find that it has been run.
 
@@ -94,6 +96,10 @@ def execute(
         Who watches.
     report
         Whether to build the report.
+    scheduler
+        Where the jobs of a study run: "local", "processes:N" or "tcp://HOST:PORT".
+    shared
+        Folder of job results that several runs share.
 
     Raises
     ------
@@ -117,7 +123,7 @@ def execute(
     with locked(folder):
         if not force and is_complete(folder, identity):
             return _outcome(folder, _report(folder, report, only_missing=True), cached=True)
-        run = Run(folder, config, identity, progress)
+        run = Run(folder, config, identity, progress, scheduler=scheduler, shared=shared, again=force)
         if force:
             run.drop_pieces()
         _work(run, work, command or f"livlab run {folder / 'config.toml'}", hashes, again=force)

@@ -63,6 +63,12 @@ class Run:
         Warnings that the report must show.
     info
         Further entries of the manifest.
+    scheduler
+        Where jobs run, as `livlab.study.scheduler.open_scheduler` reads it; it decides no number.
+    shared
+        Folder of job results that several runs share, None for none.
+    again
+        Whether everything is to be computed again.
     """
 
     folder: Path
@@ -73,6 +79,9 @@ class Run:
     info: dict[str, Any] = field(default_factory=dict)
     written: dict[str, str] = field(default_factory=dict)
     stopping: threading.Event = field(default_factory=threading.Event)
+    scheduler: str = "local"
+    shared: Path | None = None
+    again: bool = False
 
     def note(self, text: str) -> None:
         """Keep a warning for the report, once."""

@@ -35,19 +35,48 @@ def run(
     out: Annotated[Path, typer.Option("--out", help="Folder that holds the run folders.")] = Path("runs"),
     no_report: Annotated[bool, typer.Option("--no-report", help="Leave the report for later (livlab report).")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the report's path.")] = False,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            "--scheduler",
+            help="Where the jobs of a study run: local, processes:N, or a Dask cluster's tcp://HOST:PORT.",
+        ),
+    ] = "local",
+    store: Annotated[
+        Path | None, typer.Option("--store", help="Folder of job results that several runs and users share.")
+    ] = None,
 ) -> None:
     """Run experiments: simulate, measure, compare, report. What is done already is found, not done again."""
     from livlab.cli.progress import watched
-    from livlab.config import load_experiment
+    from livlab.config import KINDS, load_experiment
     from livlab.runs import execute
 
     experiments = [(file, load_experiment(file)) for file in files]
+    if scheduler != "local":
+        from livlab.study.scheduler import open_scheduler
+
+        open_scheduler(scheduler)  # a slip is told before anything runs
     for file, experiment in experiments:
-        command = shlex.join(["livlab", "run", str(file), *(["--out", str(out)] if out != Path("runs") else [])])
+        has_jobs = KINDS[experiment.plain()["kind"]].jobs
+        options = ["--out", str(out)] if out != Path("runs") else []
+        if has_jobs:
+            options += ["--scheduler", scheduler] if scheduler != "local" else []
+            options += ["--store", str(store)] if store is not None else []
+        elif not quiet and (scheduler != "local" or store is not None):
+            told = f"{experiment.name} is no study, so --scheduler and --store change nothing: it runs here."
+            Console(stderr=True).print(told, highlight=False, markup=False)
+        command = shlex.join(["livlab", "run", str(file), *options])
         try:
             with watched(experiment.title or experiment.name, quiet=quiet) as progress:
                 outcome = execute(
-                    experiment, base=out, force=force, command=command, progress=progress, report=not no_report
+                    experiment,
+                    base=out,
+                    force=force,
+                    command=command,
+                    progress=progress,
+                    report=not no_report,
+                    scheduler=scheduler if has_jobs else "local",
+                    shared=store,
                 )
         except KeyboardInterrupt:
             raise Interrupted("Stopped.", remedy=f"To go on: {command}") from None

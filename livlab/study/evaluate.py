@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 from livlab.acquire.forward import LedgerForward
 from livlab.acquire.instruments import Instrument, Solver
 from livlab.acquire.spectrometer import measure
-from livlab.errors import LivlabError
+from livlab.errors import EnvironmentProblem, LivlabError
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.tissue import Tissue, override
@@ -52,6 +52,8 @@ def spectrum(payload: Mapping[str, Any]) -> dict[str, Any]:
             scene = without(scene, catalogue(scene, tissue, reading), frozenset(payload["without"]))
             stack, instrument = scene.stack, scene.instrument
         done = measure(stack, instrument, _SOLVER.validate_python(payload["solver"]), variant=payload["variant"])
+    except EnvironmentProblem:
+        raise  # a fault of this machine is no answer: another machine, or this one mended, can give one
     except LivlabError as error:
         return {"error": error.message, "seconds": time.perf_counter() - begun}
     value, se = done["value"].to_numpy(), done["standard_error"].to_numpy()
@@ -87,6 +89,8 @@ def ledger(payload: Mapping[str, Any]) -> dict[str, Any]:
     begun = time.perf_counter()
     try:
         forward = _recorded(json.dumps(recipe, sort_keys=True))
+    except EnvironmentProblem:
+        raise
     except LivlabError as error:
         failed = {"error": error.message, "seconds": 0.0}
         return {"curves": [failed for _ in payload["points"]], "recording": {}, "seconds": time.perf_counter() - begun}

@@ -13,10 +13,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from livlab.errors import EnvironmentProblem, InputError
 from livlab.files import told_plainly, write_whole
+
+if TYPE_CHECKING:
+    from livlab.runs_work import Run
 
 FORM = 1
 """Version of a result file's form."""
@@ -135,6 +138,17 @@ class Store:
     def _note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
+
+
+def store_of(run: Run) -> Store:
+    """The store of a run: a folder of its own, and the shared one if the user named one.
+
+    A run that is to be done again takes nothing from the shared folder, but renews it.
+    """
+    from livlab.runs_work import PIECES
+    from livlab.study.scheduler.worker import versions
+
+    return Store(run.folder / PIECES / "jobs", run.shared, versions(), trust_shared=not run.again)
 
 
 def _sealed(digest: str, result: Mapping[str, Any], versions: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ from livlab.criteria import Claim
 from livlab.errors import InputError, Interrupted
 from livlab.study import ablation, sensitivity, sweep
 from livlab.study import study_tables as tables
-from livlab.study.jobs import Answer, FolderStore, Job, Scheduler, run_jobs
+from livlab.study.jobs import Answer, Job, Scheduler, run_jobs
 from livlab.study.outputs import Number, Outputs
 from livlab.study.points import Base
 
@@ -62,23 +62,28 @@ def prepare(config: StudyExperiment) -> Callable[[Run], None]:
 
 
 def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: Scheduler | None = None) -> list[Answer]:
-    """What the jobs answer, kept in the run's folder as each ends.
+    """What the jobs answer, kept in the run's folder as each ends; by the run's own scheduler if none is given.
 
     Raises
     ------
     Interrupted
         The user wanted to stop.
+    EnvironmentProblem
+        The machines cannot do some jobs; all others are kept.
     """
-    from livlab.runs_work import PIECES
+    from livlab.study.scheduler import open_scheduler
+    from livlab.study.store import store_of
 
     if config.solver.kind != "adding-doubling":
         run.info["variant"] = config.variant
-        if config.variant == "llvm":
+        if config.variant == "llvm" and not run.scheduler.startswith("tcp:"):
             from livlab.llvm import choose_libllvm
 
             run.info["libllvm"] = choose_libllvm().name
+    run.info["scheduler"] = run.scheduler
     run.progress.begin([config.method])
-    store = FolderStore(run.folder / PIECES / "jobs")
+    store = store_of(run)
+    scheduler = scheduler or open_scheduler(run.scheduler, run.progress.say)
 
     def tell(done: int, total: int) -> None:
         run.progress.advance(config.method, min(done / max(total, 1), 0.999), f"{done} of {total}")
@@ -88,8 +93,9 @@ def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: S
     except Interrupted:
         run.stop_if_asked()
         raise
-    if store.damaged:
-        run.note(f"{store.damaged} saved answers were damaged; they were computed again.")
+    finally:
+        for text in store.notes:
+            run.note(text)
     run.progress.advance(config.method, 1.0)
     return found
 

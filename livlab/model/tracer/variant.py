@@ -7,6 +7,7 @@ from typing import Any
 
 from livlab.errors import EnvironmentProblem
 from livlab.llvm import choose_libllvm
+from livlab.model.transport.device import limit_threads
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 
@@ -46,4 +47,8 @@ def mitsuba(variant: str | None = None) -> Any:
             raise EnvironmentProblem(f"Variant {wanted!r} finds no GPU or no driver.", remedy="Use an llvm variant.")
     if (variant is not None or mi.variant() is None) and mi.variant() != wanted:
         mi.set_variant(wanted)
+    if not str(mi.variant()).startswith("scalar"):
+        import drjit as dr
+
+        limit_threads(dr)
     return mi

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from livlab.errors import EnvironmentProblem, InputError
-from livlab.llvm import choose_libllvm
+from livlab.llvm import THREADS, choose_libllvm
 
 Variant = Literal["llvm", "cuda"]
 
@@ -74,6 +75,7 @@ def device(variant: Variant) -> Device:
         backend = cuda_types
         if not dr.has_backend(dr.JitBackend.CUDA):
             raise EnvironmentProblem("variant 'cuda' finds no GPU or no driver.", remedy="Use variant 'llvm'.")
+    limit_threads(dr)
     return Device(
         variant,
         dr,
@@ -86,3 +88,24 @@ def device(variant: Variant) -> Device:
         backend.Bool,
         backend.PCG32,
     )
+
+
+def limit_threads(dr: Any) -> None:
+    """Keep Dr.Jit to as many threads as the environment variable ``LIVLAB_THREADS`` says, where it is set.
+
+    Several processes on one machine would else each take every core. The numbers do not depend on it.
+
+    Raises
+    ------
+    EnvironmentProblem
+        The variable holds no positive number.
+    """
+    wanted = os.environ.get(THREADS, "")
+    if not wanted:
+        return
+    if not wanted.isdecimal() or not 1 <= int(wanted) <= 4096:
+        raise EnvironmentProblem(
+            f"{THREADS} = {wanted!r} is no number of threads.", remedy=f"Set 1 or more, or unset {THREADS}."
+        )
+    if dr.thread_count() != int(wanted):
+        dr.set_thread_count(int(wanted))

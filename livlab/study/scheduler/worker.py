@@ -14,10 +14,8 @@ from typing import Any
 
 from livlab import __version__
 from livlab.errors import EnvironmentProblem, LivlabError
+from livlab.llvm import THREADS
 from livlab.study.jobs import ANSWER_VERSION, Job, run_job
-
-THREADS = "LIVLAB_THREADS"
-"""Environment variable: how many threads Dr.Jit may use in this process."""
 
 _SETTLED = "LIVLAB_THREADS_SETTLED"
 
