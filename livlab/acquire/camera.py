@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
+import time
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import xarray as xr
 
 from livlab.acquire.camera_film import Film
 from livlab.acquire.camera_scene import OUTER, BodySurfaces, body_mesh, check_layering, furnish, nested_stack, surfaces
@@ -17,7 +16,8 @@ from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer import stage
 from livlab.model.tracer.baselines import Name, baseline_optics, render_baseline
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.render import render
+from livlab.model.tracer.film import row_samples
+from livlab.model.tracer.tracer import Tracer
 from livlab.model.tracer.variant import mitsuba
 from livlab.units import FloatArray
 
@@ -56,6 +56,7 @@ class Camera:
         self.nested = config.geometry.layering == "nested"
         self._surfaces: dict[Any, BodySurfaces] = {}
         self._scenes: dict[Any, Any] = {}
+        self._ready: tuple[OpticalStack, Tracer] | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -99,22 +100,27 @@ class Camera:
         spp
             Samples a pixel.
         seed
-            Of the picture; the pass's own follows from it and from the film's number of passes.
+            Of the picture; what a pass draws follows from it and from the film's number of passes.
         """
-        used = nested_stack(stack) if self.nested else stack
-        found = self._made(used)
-        names = tuple(found.meshes)
-        body = Body(used, names) if self.nested else Body(used, names, self.distances)
-        out = render(
-            self._scene(found, self.variant),
-            film.wavelength_nm.tolist(),
-            body=body,
-            spp=spp,
-            seed=pass_seed(seed, film.passes),
-            estimator=self.config.sampling.estimator,
-            variant=self.variant,
-        )
-        add(film, out)
+        started = time.perf_counter()
+        tracer = self._tracer(stack)
+        film.setup_seconds += time.perf_counter() - started
+        compiled, troubles = tracer.compile_seconds, dict(tracer.troubles)
+        left = max(1, spp // film.batch)
+        while left:
+            batches = min(left, tracer.most_rows())
+            seen = tracer.launch(batches, film.batch, seed, film.passes)
+            add(film, seen, batches, tracer.padded)
+            left -= batches
+        film.compile_seconds += tracer.compile_seconds - compiled
+        for name, count in tracer.troubles.items():
+            film.about[name] = int(film.about.get(name, 0)) + count - troubles[name]
+        film.about["renderer"] = self.variant
+        film.seconds += time.perf_counter() - started
+
+    def batch(self, spp: int) -> int:
+        """Samples of a batch, for a picture of so many samples a pixel."""
+        return row_samples(spp)
 
     def baseline(self, name: str, stack: OpticalStack, *, spp: int, seed: int) -> FloatArray:
         """(row, column, W) the scene with an older model in the tissue's place."""
@@ -130,6 +136,23 @@ class Camera:
             variant=MONO,
         )
         return np.asarray(found["radiance"].transpose("row", "column", "wavelength").to_numpy(), dtype=np.float64)
+
+    def _tracer(self, stack: OpticalStack) -> Tracer:
+        """The scene made ready for a tissue; the last one is kept."""
+        if self._ready is None or self._ready[0] is not stack:
+            used = nested_stack(stack) if self.nested else stack
+            found = self._made(used)
+            names = tuple(found.meshes)
+            body = Body(used, names) if self.nested else Body(used, names, self.distances)
+            tracer = Tracer(
+                self._scene(found, self.variant),
+                used.wavelength_nm,
+                body,
+                estimator=self.config.sampling.estimator,
+                variant=self.variant,
+            )
+            self._ready = (stack, tracer)
+        return self._ready[1]
 
     def _made(self, stack: OpticalStack) -> BodySurfaces:
         key = tuple(x.thickness_mm for x in stack.layers) if self.nested else ()
@@ -149,24 +172,12 @@ class Camera:
         return self._scenes[key]
 
 
-def pass_seed(seed: int, passes: int) -> int:
-    """Seed of a pass: far from those of other passes and pictures.
-
-    >>> pass_seed(1, 0) != pass_seed(1, 1) != pass_seed(2, 0)
-    True
-    """
-    return int.from_bytes(hashlib.sha256(f"{seed}:{passes}".encode()).digest()[:4], "big") >> 1
-
-
-def add(film: Film, out: xr.Dataset) -> None:
-    """Add what one rendering saw: mean and standard error over its samples, turned back into sums."""
-    n = int(out.attrs["samples"])
-    over = ("row", "column", "wavelength")
-    mean = out["radiance"].transpose(*over).to_numpy().astype(np.float64)
-    error = out["radiance_se"].transpose(*over).to_numpy().astype(np.float64)
-    film.total += n * mean
-    film.square += n * ((n - 1) * error**2 + mean**2)
-    film.samples += n
+def add(film: Film, seen: Any, batches: int, padded: int) -> None:
+    """Add what a launch saw: (batch · pixel · padded wavelength) sums over each batch."""
+    rows, columns, waves = film.total.shape
+    for batch in np.asarray(seen).reshape(batches, rows, columns, padded):
+        mean = batch[:, :, :waves].astype(np.float64) / film.batch
+        film.total += mean
+        film.square += np.square(mean)
+    film.batches += batches
     film.passes += 1
-    film.compile_seconds += float(out.attrs.get("compile_seconds", 0.0))
-    film.about["variant"] = str(out.attrs.get("variant", ""))

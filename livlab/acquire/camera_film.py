@@ -14,20 +14,22 @@ from livlab.units import FloatArray
 
 @dataclass
 class Film:
-    """Sums over the samples of every pixel; another pass is added to them.
+    """Sums over batches of samples of every pixel; another pass adds to them.
 
     Attributes
     ----------
     wavelength_nm
         (W,) wavelengths.
     total, square
-        (row, column, W) sum of the samples' radiance, and of its square.
-    samples
-        Samples a pixel in the sums.
+        (row, column, W) sum of the batches' mean radiance, and of its square.
+    batch
+        Samples of a batch: the error of a pixel follows from how its batches differ.
+    batches
+        Batches in the sums.
     passes
-        Passes in the sums: the next has this index, and a seed that follows from it.
-    seconds, compile_seconds
-        What they took; compiling is part of the seconds.
+        Launches in the sums: the next has this number, which its random numbers follow from.
+    seconds, compile_seconds, setup_seconds
+        What they took in all, and of it what compiling and making the scene ready took.
     trace
         (seconds, samples, relative error) after each pass.
     about
@@ -37,44 +39,56 @@ class Film:
     wavelength_nm: FloatArray
     total: FloatArray
     square: FloatArray
-    samples: int = 0
+    batch: int = 1
+    batches: int = 0
     passes: int = 0
     seconds: float = 0.0
     compile_seconds: float = 0.0
+    setup_seconds: float = 0.0
     trace: list[tuple[float, float, float]] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def empty(cls, rows: int, columns: int, wavelength_nm: FloatArray) -> Film:
+    def empty(cls, rows: int, columns: int, wavelength_nm: FloatArray, batch: int = 1) -> Film:
         """A film that has seen nothing."""
         shape = (rows, columns, len(wavelength_nm))
-        return cls(np.asarray(wavelength_nm, dtype=np.float64), np.zeros(shape), np.zeros(shape))
+        return cls(np.asarray(wavelength_nm, dtype=np.float64), np.zeros(shape), np.zeros(shape), batch)
+
+    @property
+    def samples(self) -> int:
+        """Samples a pixel so far."""
+        return self.batches * self.batch
+
+    @property
+    def walking_seconds(self) -> float:
+        """What following light took, compiling and setting up apart."""
+        return max(self.seconds - self.compile_seconds - self.setup_seconds, 0.0)
 
     @property
     def radiance(self) -> FloatArray:
         """(row, column, W) mean radiance."""
         self._seen()
-        return self.total / self.samples
+        return self.total / self.batches
 
     @property
     def standard_error(self) -> FloatArray:
-        """(row, column, W) standard error of the mean: √((⟨L²⟩ − ⟨L⟩²)/(n − 1)); nan with one sample."""
+        """(row, column, W) standard error of the mean: √((⟨L²⟩ − ⟨L⟩²)/(n − 1)) over n batches; nan for one."""
         self._seen()
-        if self.samples < 2:
+        if self.batches < 2:
             return np.full_like(self.total, np.nan)
-        spread = self.square / self.samples - (self.total / self.samples) ** 2
-        return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (self.samples - 1)))
+        spread = self.square / self.batches - (self.total / self.batches) ** 2
+        return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (self.batches - 1)))
 
     def relative_error(self, lit: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
         """Median over the lit pixels of mean standard error over mean radiance, both over the wavelengths.
 
         A pixel that has seen no light yet counts as off by all of its value (1).
         """
-        if not lit.any() or self.samples < 2:
+        if not lit.any() or self.batches < 2:
             return float("nan")
-        mean = self.total[lit].sum(axis=1) / self.samples
-        spread = self.square[lit] / self.samples - (self.total[lit] / self.samples) ** 2
-        error = np.sqrt(np.maximum(spread, 0.0) / (self.samples - 1)).sum(axis=1)
+        mean = self.total[lit].sum(axis=1) / self.batches
+        spread = self.square[lit] / self.batches - (self.total[lit] / self.batches) ** 2
+        error = np.sqrt(np.maximum(spread, 0.0) / (self.batches - 1)).sum(axis=1)
         seen = mean > 0
         share = np.ones(len(mean))
         share[seen] = error[seen] / mean[seen]
@@ -88,10 +102,12 @@ class Film:
             {"total": (dims, self.total), "square": (dims, self.square), "trace": (("pass", "what"), trace)},
             {"wavelength": self.wavelength_nm},
             {
-                "samples": self.samples,
+                "batch": self.batch,
+                "batches": self.batches,
                 "passes": self.passes,
                 "seconds": self.seconds,
                 "compile_seconds": self.compile_seconds,
+                "setup_seconds": self.setup_seconds,
                 **{f"about_{k}": v for k, v in self.about.items() if isinstance(v, str | int | float)},
             },
         )
@@ -104,14 +120,16 @@ class Film:
             saved["wavelength"].to_numpy(),
             saved["total"].to_numpy(),
             saved["square"].to_numpy(),
-            int(a["samples"]),
+            int(a["batch"]),
+            int(a["batches"]),
             int(a["passes"]),
             float(a["seconds"]),
             float(a["compile_seconds"]),
+            float(a["setup_seconds"]),
             [(float(x), float(y), float(z)) for x, y, z in saved["trace"].to_numpy()],
             {k.removeprefix("about_"): v for k, v in a.items() if k.startswith("about_")},
         )
 
     def _seen(self) -> None:
-        if self.samples < 1:
-            raise InputError.of("film.samples", self.samples, "must be ≥ 1", "Expose the film first.")
+        if self.batches < 1:
+            raise InputError.of("film.batches", self.batches, "must be ≥ 1", "Expose the film first.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import resource
 import time
 from collections.abc import Callable
@@ -47,6 +48,9 @@ class Photographer(Protocol):
     @property
     def lit(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(row, column) pixels that see nothing but the body where it is lit."""
+
+    def batch(self, spp: int) -> int:
+        """Samples of a batch, for a picture of so many samples a pixel."""
 
     def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
         """Add one pass of samples to a film."""
@@ -181,7 +185,8 @@ def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> Film:
     piece = f"picture {task}"
     saved = run.load_piece(piece)
     if saved is None:
-        film = Film.empty(config.camera.height, config.camera.width, work.grid)
+        batch = math.gcd(work.camera.batch(config.sampling.spp), config.sampling.pass_spp)
+        film = Film.empty(config.camera.height, config.camera.width, work.grid, batch)
     else:
         film = Film.from_dataset(saved)
     seed = reading_seed(config.seed, task)
@@ -198,9 +203,7 @@ def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> Film:
     while (share := _share(work, film)) < 1.0:
         run.progress.advance(task, share, _told(film))
         spp = min(config.sampling.pass_spp, config.sampling.spp - film.samples)
-        began = time.perf_counter()
         work.camera.expose(film, stack, spp=spp, seed=seed)
-        film.seconds += time.perf_counter() - began
         film.trace.append((film.seconds, float(film.samples), film.relative_error(_thinned(work.camera.lit))))
         if run.stopping.is_set() or time.monotonic() - kept > max(SAVE_EVERY_SECONDS, cost / SAVE_SHARE):
             keep()
@@ -216,9 +219,10 @@ def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> Film:
             "reading": key[1],
             "seconds": film.seconds,
             "compile_seconds": film.compile_seconds,
+            "setup_seconds": film.setup_seconds,
             "spp": film.samples,
             "samples": walked,
-            "samples_per_second": walked / max(film.seconds - film.compile_seconds, 1e-9),
+            "samples_per_second": walked / max(film.walking_seconds, 1e-9),
             "wavelengths": len(work.grid),
             "relative_error": film.relative_error(work.camera.lit),
             "memory_gib": peak_memory_gib(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,15 +105,14 @@ def _take(
     for k, indices in enumerate(parts):
         own = stack.at(indices)
         film = Film.empty(rows, columns, own.wavelength_nm)
-        began = time.perf_counter()
         while film.samples < spp:
             camera.expose(film, own, spp=min(config.sampling.pass_spp, spp - film.samples), seed=seed + k)
-        seconds += time.perf_counter() - began - film.compile_seconds
+        seconds += film.walking_seconds
         films.append(film)
     whole = Film(
         stack.wavelength_nm,
         np.concatenate([f.total for f in films], axis=2),
         np.concatenate([f.square for f in films], axis=2),
-        samples=films[0].samples,
+        batches=films[0].batches,
     )
     return whole, seconds

@@ -21,8 +21,8 @@ COLOURS = (
     "chroma", "hue", "hue_se",
 )  # fmt: skip
 COSTS = (
-    "stage", "tissue", "reading", "seconds", "compile_seconds", "spp", "samples", "samples_per_second", "wavelengths",
-    "relative_error", "memory_gib",
+    "stage", "tissue", "reading", "seconds", "compile_seconds", "setup_seconds", "spp", "samples", "samples_per_second",
+    "wavelengths", "relative_error", "memory_gib",
 )  # fmt: skip
 
 

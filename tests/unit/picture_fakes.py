@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -69,15 +70,20 @@ class BallCamera:
         absorbed = np.stack([i.rate * (1 - i.albedo) for i in stack.layers[-1].interactions]).sum(axis=0)
         return self.shade[..., None] * (0.5 / (1.0 + 4.0 * absorbed))
 
+    def batch(self, spp: int) -> int:
+        return 1
+
     def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
+        started = time.perf_counter()
         rng = np.random.default_rng([seed, film.passes])
         mean = self.truth(stack)
         for _ in range(spp):
             sample = mean * rng.exponential(size=(*mean.shape[:2], 1))
             film.total += sample
             film.square += sample**2
-        film.samples += spp
+        film.batches += spp
         film.passes += 1
+        film.seconds += time.perf_counter() - started
         self.exposed.append((spp, seed))
 
     def baseline(self, name: str, stack: OpticalStack, *, spp: int, seed: int) -> np.ndarray[Any, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from livlab.acquire.camera import add
 from livlab.acquire.camera_film import Film
 from livlab.errors import InputError
 
@@ -14,7 +15,7 @@ def exposed(samples: np.ndarray) -> Film:  # type: ignore[type-arg]
     film = Film.empty(*samples.shape[1:3], np.arange(samples.shape[3]) * 10.0 + 500.0)
     film.total += samples.sum(axis=0)
     film.square += (samples**2).sum(axis=0)
-    film.samples += len(samples)
+    film.batches += len(samples)
     film.passes += 1
     return film
 
@@ -34,6 +35,17 @@ def test_relative_error_is_the_median_pixels() -> None:
     expected = np.median((film.standard_error.sum(axis=2) / film.radiance.sum(axis=2))[lit])
     assert film.relative_error(lit) == pytest.approx(expected, rel=1e-12)
     assert film.relative_error(lit) == pytest.approx(1 / np.sqrt(400), rel=0.1)  # exponential: sd = mean
+
+
+def test_batches_are_what_errors_follow_from() -> None:
+    samples = np.random.default_rng(9).exponential(size=(400, 5, 5, 2))
+    one, eight = Film.empty(5, 5, np.array([500.0, 600.0])), Film.empty(5, 5, np.array([500.0, 600.0]), batch=8)
+    add(one, np.pad(samples, [(0, 0)] * 3 + [(0, 14)]), 400, 16)
+    add(eight, np.pad(samples.reshape(50, 8, 5, 5, 2).sum(axis=1), [(0, 0)] * 3 + [(0, 14)]), 50, 16)
+    assert one.samples == eight.samples == 400
+    assert np.allclose(one.radiance, eight.radiance, rtol=1e-6)
+    # 50 batches know their spread to 10 %; the mean over 50 pixels and wavelengths to 2 %.
+    assert np.mean(eight.standard_error / one.standard_error) == pytest.approx(1.0, abs=0.06)
 
 
 def test_a_pixel_that_saw_no_light_counts_as_unknown() -> None:
