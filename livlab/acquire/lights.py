@@ -117,8 +117,10 @@ def mirror_highlight(
         at_top = 0.0
     radius = float(np.sqrt(np.average((blob[1] - u) ** 2 + (blob[0] - v) ** 2, weights=weight)))
     noise = spread * radius * np.sqrt(len(weight)) / weight.sum()
-    sd = float(np.hypot(noise, _SHAPE_SHARE * radius if at_top > 0 else 0.3 * _SHAPE_SHARE * radius + 0.05))
+    sd = float(np.hypot(noise, 0.3 * _SHAPE_SHARE * radius + 0.05))
     if at_top > 0:
+        # Of a clipped pixel it is not known how much of it the highlight covers.
+        sd = float(np.hypot(_SHAPE_SHARE * radius, 0.5 / np.sqrt(area)))
         notes.append(f"{at_top:.0%} of the highlight is clipped: its middle is the middle of its outline.")
     if area < 4:
         notes.append(f"The highlight has {area} pixels: its centroid follows the pixel grid.")

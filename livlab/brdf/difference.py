@@ -18,7 +18,8 @@ def difference(first: xr.Dataset, second: xr.Dataset) -> dict[str, float]:
     """Difference of two BRDFs, samples or tables, over the samples (or middles of cells) of the first.
 
     The second is looked up in its cells, samples being merged first. Weights are cos θ_i cos θ_o, so that grazing
-    directions, where any BRDF is large and ill known, do not decide. A grey file is compared with the mean of the other's channels.
+    directions, where any BRDF is large and ill known, do not decide. A grey file is compared with the mean
+    of the other's channels.
 
     Returns
     -------
