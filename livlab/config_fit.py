@@ -163,6 +163,7 @@ class FitExperiment(Experiment):
     level: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(0.95, description="Coverage of the intervals.")
     profiles: bool = Field(False, description="Profile-likelihood intervals beside the normal ones; costs searches.")
     variant: Literal["llvm", "cuda"] = Field("llvm", description="Where it walks.")
+    bench: bool = Field(True, description="Whether the report has sliders about the fitted tissue; costs one walk.")
     criterion: tuple[FitCriterion, ...] = Field((), strict=False, description="Claims to judge.")
 
     @model_validator(mode="after")

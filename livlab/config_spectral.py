@@ -153,6 +153,9 @@ class SpectralExperiment(Experiment):
     reading: tuple[Reading, ...] = Field((), strict=False, description="Further readings, with options of their own.")
     reference: tuple[Reference, ...] = Field((), strict=False, description="Measured curves to compare with.")
     criterion: tuple[CriterionSpec, ...] = Field((), strict=False, description="Claims to judge.")
+    bench: Label | None = Field(
+        None, description="Reading about which the report has sliders; none if not said. Costs one more walk."
+    )
 
     @property
     def all_readings(self) -> tuple[Reading, ...]:
@@ -182,6 +185,8 @@ class SpectralExperiment(Experiment):
             if not name.isprintable() or name != name.strip():
                 raise InputError.of("reading name", name, "must be one line of text", "Rename the reading.")
         _once("reading", names)
+        if self.bench is not None:
+            _known("bench", self.bench, names)
         labels = [r.label for r in self.reference]
         _once("reference", labels)
         for k, criterion in enumerate(self.criterion):

@@ -114,10 +114,20 @@ class LedgerForward:
         InputError
             Values at which the tissue does not hold together, or that one ledger cannot serve.
         """
+        self.record_stacks(self.stack(centre), [self.stack(other) for other in others], seed=seed, progress=progress)
+
+    def record_stacks(
+        self,
+        stack: OpticalStack,
+        others: Sequence[OpticalStack] = (),
+        *,
+        seed: int = 1,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        """`record`, of optical stacks as they are."""
         from livlab.model.transport.ledger import record
 
         started = time.perf_counter()
-        stack = self.stack(centre)
         self.readout = readout(self.instrument, stack.n_above)
         self.ledger = record(
             stack,
@@ -126,7 +136,7 @@ class LedgerForward:
             source=self.readout.source,
             tally=self.readout.tally,
             half_width_mm=self.readout.half_width_mm,
-            also=[self.stack(other) for other in others],
+            also=others,
             variant=self.variant,
             progress=progress,
         )
@@ -149,6 +159,28 @@ class LedgerForward:
         InputError
             Values at which the tissue does not hold together, or nothing recorded yet.
         """
+        at = {name: float(values[name]) for name in self.names}
+        found, by_absorption, by_scattering = self._read(self.stack(at), gradient)
+        slopes = {}
+        if gradient:
+            for name in self.names:
+                absorption, scattering = self._tangent(at, name)
+                slopes[name] = (by_absorption * absorption + by_scattering * scattering).sum(axis=1)
+        return Response(found.value, found.standard_error, found.valid, slopes)
+
+    def answer_stack(self, stack: OpticalStack) -> Response:
+        """The reading of an optical stack as it is; the slope "absorption" is that by its last layer's coefficient.
+
+        Raises
+        ------
+        InputError
+            A stack that the ledger cannot answer for, or nothing recorded yet.
+        """
+        found, by_absorption, _ = self._read(stack, True)
+        return Response(found.value, found.standard_error, found.valid, {"absorption": by_absorption[:, -1]})
+
+    def _read(self, stack: OpticalStack, gradient: bool) -> tuple[Response, FloatArray, FloatArray]:
+        """The reading, and its (W, L) derivatives by the layers' coefficients."""
         from livlab.model.transport.ledger_plan import specular
         from livlab.model.transport.ledger_tables import fitted
 
@@ -156,8 +188,7 @@ class LedgerForward:
             raise InputError.of("ledger", None, "nothing is recorded yet", "Call record first.")
         size = len(self.wavelength_nm)
         value, variance, valid = np.zeros(size), np.zeros(size), np.ones(size, dtype=bool)
-        at = {name: float(values[name]) for name in self.names}
-        sets = fitted(self.ledger, self.stack(at))
+        sets = fitted(self.ledger, stack)
         by_absorption, by_scattering = np.zeros_like(sets.absorption), np.zeros_like(sets.absorption)
         for detector, weight in self._detectors():
             found = self.ledger.answer(sets, detector, gradient=gradient)
@@ -168,12 +199,7 @@ class LedgerForward:
             by_scattering += weight * found.by_scattering
         if self.readout.specular_weight:
             value += self.readout.specular_weight * specular(sets.index, self.readout.source)
-        slopes = {}
-        if gradient:
-            for name in self.names:
-                absorption, scattering = self._tangent(at, name)
-                slopes[name] = (by_absorption * absorption + by_scattering * scattering).sum(axis=1)
-        return Response(value, np.sqrt(variance), valid, slopes)
+        return Response(value, np.sqrt(variance), valid, {}), by_absorption, by_scattering
 
     def _tangent(self, at: Mapping[str, float], name: str) -> tuple[FloatArray, FloatArray]:
         """(W, L) change of the coefficients with a parameter: a smooth function without chance, so differences do."""

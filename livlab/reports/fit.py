@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from livlab.reports import fit_figures as draw
+from livlab.reports.bench import bench_section
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData
 from livlab.reports.tables import Section, Text, from_frame, number
@@ -75,7 +76,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
             from_frame(run.table("recordings"), "The recorded walks.", folded="Recordings"),
         ]
     )
-    return [curves, values, search]
+    return [curves, *bench_section(run), values, search]
 
 
 def _verdict(run: RunData, found: pd.DataFrame) -> str:

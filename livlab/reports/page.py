@@ -16,6 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from livlab.reports import cost, figures
+from livlab.reports.bench import bench_section
 from livlab.reports.effects import simulated
 from livlab.reports.folder import RunData, read_run
 from livlab.reports.stress import hard_cases
@@ -49,7 +50,8 @@ as "module:function", imported on use."""
 def build_report(run_folder: Path) -> Path:
     """Write `report.html` and `figures/*.svg` from what a run folder holds, and nothing else.
 
-    The page is one file: no script, no request to anywhere, everything escaped that came from a user's file.
+    The page is one file: no request to anywhere, no script but a bench's own, everything escaped that came from a
+    user's file.
 
     Raises
     ------
@@ -159,6 +161,7 @@ def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[Section]
     """What a spectral experiment shows."""
     return [
         _curves(run, pictures),
+        *bench_section(run),
         _coefficients(run, pictures),
         _budget(run, pictures),
         tissue_section(run),

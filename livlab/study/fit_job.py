@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -172,9 +173,35 @@ def _work(
     run.write_table(
         "provenance.csv", *tables.provenance(config.tissue.build(), reading, config.wavelengths.grid(), known)
     )
+    if config.bench:
+        run.write("bench.json", json.dumps(_bench(config, found, targets), separators=(",", ":"), allow_nan=False))
     claims = _claims(config, scores, found, {k.spec.label: k.reason for k in known}, seconds)
     run.write_claims(claims)
     run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+
+
+def _bench(config: FitExperiment, found: FitOutcome, targets: dict[str, Target]) -> dict[str, Any]:
+    """The bench about the fitted tissue."""
+    from livlab.acquire.bench import bench_data
+    from livlab.model.tissue.tissue import override
+
+    known = [
+        {
+            "label": label,
+            "value": [float(v) if u and np.isfinite(v) else None for v, u in zip(t.data, t.use, strict=True)],
+            "absolute": t.scaling == "none",
+        }
+        for label, t in targets.items()
+    ]
+    return bench_data(
+        override(config.tissue.build(), found.best, by="fit"),
+        config.reading,
+        config.wavelengths.grid(),
+        config.instrument,
+        references=known,
+        standard_error=config.search.standard_error,
+        seed=config.seed,
+    )
 
 
 def _named(text: str, config: FitExperiment) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -141,7 +142,50 @@ def _work(
 
         rows = [{"reading": name, **row} for name, made in plans.items() for row in made.records()]
         run.write_table("plan.csv", ("reading", *COLUMNS), rows)
+    if config.bench is not None:
+        started = time.perf_counter()
+        run.write("bench.json", json.dumps(bench_of(config, config.bench), separators=(",", ":"), allow_nan=False))
+        costs.append({"stage": "bench", "reading": config.bench, "seconds": time.perf_counter() - started})
     _write(run, config, tissue, stacks, pieces, references, claims, metrics, costs)
+
+
+def bench_of(
+    config: SpectralExperiment,
+    name: str,
+    standard_error: float = 1e-3,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """The bench about one reading, on the experiment's band and in steps that draw a curve.
+
+    Parameters
+    ----------
+    config
+        The experiment.
+    name
+        One of its readings.
+    standard_error
+        Of the recorded walk.
+    progress
+        Called with the share walked.
+    """
+    from livlab.acquire.bench import bench_data, bench_grid
+
+    grid = bench_grid(config.wavelengths.grid())
+    references: list[dict[str, Any]] = []
+    for r in map(load_reference, config.reference):
+        if r.dataset is not None:
+            values = [float(v) if np.isfinite(v) else None for v in r.at(grid)[0]]
+            references.append({"label": r.spec.label, "value": values, "absolute": False})
+    return bench_data(
+        config.tissue.build(),
+        next(r for r in config.all_readings if r.name == name),
+        grid,
+        config.instrument,
+        references=references,
+        standard_error=standard_error,
+        seed=config.seed,
+        progress=progress,
+    )
 
 
 def _name_device(run: Run, variant: str) -> None:
@@ -306,4 +350,4 @@ def _stacked(parts: dict[str, xr.Dataset]) -> xr.Dataset:
     )  # fmt: skip
 
 
-__all__ = ["Reading", "prepare", "reading_seed"]
+__all__ = ["Reading", "bench_of", "prepare", "reading_seed"]
