@@ -27,7 +27,7 @@ from livlab.errors import EnvironmentProblem, Interrupted
 from livlab.runs_files import locked, open_folder, read_csv, sha256, write_whole
 from livlab.runs_work import Progress, Run, Silent
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 """Raised whenever the same experiment would give other numbers than before; it is part of the digest."""
 
 _PACKAGES = ("numpy", "scipy", "xarray", "pandas", "pydantic", "miepython", "numba", "drjit", "mitsuba")
