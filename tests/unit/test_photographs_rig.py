@@ -21,11 +21,11 @@ def save(path, values):
     tifffile.imwrite(path, np.round(np.clip(values, 0, 1) * 65535).astype(np.uint16), photometric="minisblack")
 
 
-def silhouette(cam, balls):
+def silhouette(cam, balls, sub=4):
     total = np.zeros((cam.height, cam.width))
     for ball in balls:
         lit = [Light(np.ones(1), direction=ball.centre_mm / np.linalg.norm(ball.centre_mm))]
-        total += render(cam, ball, lit, lambert(), background=1.0)[0] - 1
+        total += render(cam, ball, lit, lambert(), background=1.0, sub=sub)[0] - 1
     return 0.8 * (1 + total)
 
 
@@ -99,7 +99,7 @@ def test_a_camera_from_a_board_and_colours_from_a_chart(tmp_path):
     seen = (image[..., None] * albedo) @ MATRIX.T
     deep_png(tmp_path / "0.png", np.round(np.clip(seen, 0, 1) * 65535).astype(np.uint16))
     deep_png(tmp_path / "chart.png", np.round(np.clip(chart(MATRIX, 0.9), 0, 1) * 65535).astype(np.uint16))
-    save(tmp_path / "out.tif", silhouette(CAMERA, [sphere]))
+    save(tmp_path / "out.tif", silhouette(CAMERA, [sphere], sub=2))
     names = []
     for name, picture in views(CHARUCO)[:9]:
         Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(tmp_path / f"b{name}")
