@@ -147,6 +147,7 @@ class Processes:
                 host="127.0.0.1",
                 dashboard_address=None,
                 worker_dashboard_address=None,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # else its pages take port 8787
                 memory_limit=self.memory_limit,
                 preload=list(self.preload),
                 env=dict(self.environment),
@@ -168,11 +169,14 @@ class Remote:
         Told of workers lost and the like.
     patience
         Seconds to wait for a scheduler that was lost to come back.
+    first_patience
+        Seconds to wait for it to answer at first.
     """
 
     address: str
     say: Callable[[str], None] = _silent
     patience: float = 30.0
+    first_patience: float = 10.0
 
     def run(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Answer]]:
         """Each job's number and answer, as it ends.
@@ -185,7 +189,7 @@ class Remote:
             The same, where a machine was at fault; or no scheduler answers, or a worker has other versions.
         """
         numbers, failed = {job.digest: k for k, job in enumerate(jobs)}, list[Outcome]()
-        left, patience = dict(numbers), 10.0
+        left, patience = dict(numbers), self.first_patience
         while left:
             with self._connected(patience) as client, contextlib.suppress(SchedulerLost):
                 outcomes = Dispatch(
