@@ -74,9 +74,6 @@ class Sampling(Section):
         "expected",
         description="Absorption as a weight (all wavelengths on one path), or as a path's end (Algorithm 1).",
     )
-    wavelengths_together: bool = Field(
-        True, description="One path serves all wavelengths; else each has its own, as in the thesis."
-    )
     variant: Literal["llvm", "cuda"] = Field("llvm", description="Where it runs: processor or graphics card.")
 
 
