@@ -42,6 +42,7 @@ BODIES = {
     "brdf": "livlab.reports.brdf:brdf_sections",
     "spectral": "livlab.reports.page:spectral_sections",
     "picture": "livlab.reports.picture:picture_sections",
+    "study": "livlab.reports.study:study_sections",
 }
 """What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> list[Section]`,
 as "module:function", imported on use."""

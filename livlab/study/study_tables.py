@@ -45,7 +45,8 @@ def result(
         kept = [str(v) for v in values] if f.categorical and not _numeric(values) else np.array(values, dtype=float)
         data[f"factor_{k}"] = ("case", kept, {"long_name": f.name, "path": f.path, "units": f.unit or "1"})
     for k, name in enumerate(outputs.names):
-        data[f"output_{k}"] = ("case", [m[name].value for m in made], {"long_name": name})
+        about = {"long_name": name, "metric": config.output[k].metric}
+        data[f"output_{k}"] = ("case", [m[name].value for m in made], about)
         data[f"output_{k}_se"] = ("case", [m[name].standard_error for m in made], {"long_name": f"{name}, error"})
     known = [k for k in outputs.known if k.dataset is not None]
     coords: dict[str, Any] = {
@@ -212,12 +213,19 @@ def costs(
 
 
 def shared_notes(cases: Sequence[Case], given: Mapping[str, Answer]) -> list[str]:
-    """Notes of solvers, each once, with how many cases it concerns."""
-    by_text: dict[str, list[str]] = {}
+    """Notes of solvers, each once, with how many cases it concerns; those that differ in numbers only count as one."""
+    by_form: dict[str, dict[str, str]] = {}
     for case in cases:
         for text in given[case.label].get("notes", ()):
-            by_text.setdefault(re.sub(r"\d[\d.]*", "…", text) if "reached" in text else text, []).append(case.label)
-    return [f"{names[0] if len(names) == 1 else f'{len(names)} cases'}: {text}" for text, names in by_text.items()]
+            if "not reached" in text:
+                text = "the wanted standard error was not reached at some wavelengths; the errors shown say by how much"
+            by_form.setdefault(re.sub(r"\d[\d., ]*", "#", text), {}).setdefault(case.label, text)
+    made = []
+    for found in by_form.values():
+        texts = list(dict.fromkeys(found.values()))
+        who = next(iter(found)) if len(found) == 1 else f"{len(found)} cases"
+        made.append(f"{who}: {texts[0]}{' (in others with other numbers)' if len(texts) > 1 else ''}")
+    return made
 
 
 def _column(name: str) -> str:
