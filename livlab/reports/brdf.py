@@ -228,8 +228,9 @@ def _radius(run: RunData, pictures: Pictures) -> Section:
             pictures.add(
                 "radii",
                 drawn.radii(table),
-                "Mean BRDF of the sphere's samples over the flat sample's at the same angles, ±2 standard errors: "
-                "light that would come out of a flat sample far from where it went in leaves a small sphere elsewhere.",
+                "Mean of f cos θ_i over all samples of a sphere, over that of the largest in the same rig, ±2 standard "
+                "errors: light that would come out of a flat sample far from where it went in leaves a small sphere "
+                "elsewhere.",
             )
         )
         section.content.append(from_frame(_errors(table), "The ratio at each radius.", folded="The numbers"))

@@ -143,7 +143,7 @@ def liver_lobes(result: xr.Dataset, wavelength: int) -> Figure:
 
 
 def radii(table: Any) -> Figure:
-    """How far the sphere's mean BRDF lies from the flat sample's, by the sphere's radius."""
+    """What spheres of several radii return, over what the largest returns."""
     with style():
         figure = Figure(figsize=(7.4, 3.4))
         ax = figure.subplots()
@@ -156,7 +156,7 @@ def radii(table: Any) -> Figure:
         ax.axhline(1.0, color=INK, lw=1)
         ax.set_xscale("log")
         ax.set_xlabel("radius of the sphere [mm]")
-        ax.set_ylabel("sphere / flat sample")
+        ax.set_ylabel("sphere / largest sphere")
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         return figure
 

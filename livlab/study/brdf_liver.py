@@ -116,12 +116,14 @@ def _one(
         one.fitted = _along(lambda wi, wo: one.fit.evaluate(wi, wo).to_numpy(), scan.kind, scan.incidence_deg, cut)
         costs.append({"stage": "fit", "subject": name, "seconds": time.perf_counter() - started})
         tables["fits"] += [{"reading": name, **row} for row in fit_rows(one.fit, config.fit, {})]
-    for radius in sorted({*config.radii_mm, config.rig.radius_mm} if config.radii_mm else ()):
-        own = cut
-        if radius != config.rig.radius_mm:
-            other, _ = _sphere(run, config, name, stack, radius, seed, costs, None)
-            own = _cut(config, other)
-        tables["radii"] += _ratios(name, stack, radius, own, flat)
+    if config.radii_mm:
+        levels = {}
+        for radius in sorted({*config.radii_mm, config.rig.radius_mm}):
+            other = samples
+            if radius != config.rig.radius_mm:
+                other, _ = _sphere(run, config, name, stack, radius, seed, costs, None)
+            levels[radius] = _level(other)
+        tables["radii"] += _ratios(name, stack, levels)
     return one
 
 
@@ -238,18 +240,27 @@ def _counted(name: str, samples: xr.Dataset) -> dict[str, object]:
     }
 
 
-def _ratios(name: str, stack: OpticalStack, radius: float, cut: Cut, flat: Cut) -> list[dict[str, object]]:
-    """Mean of the sphere's cut over that of the flat sample at the same angles, with its error."""
-    here = np.isfinite(cut.at_deg)
-    known, known_se = at_angles(flat, cut.at_deg[here])
+def _level(samples: xr.Dataset) -> tuple[FloatArray, FloatArray]:
+    """(W,) mean of f cos θ_i over all samples, and its standard error."""
+    cosine = np.cos(samples["theta_i"].to_numpy())[:, None]
+    value, error = samples["value"].to_numpy() * cosine, samples["standard_error"].to_numpy() * cosine
+    return value.mean(0), np.sqrt((error**2).sum(0)) / len(value)
+
+
+def _ratios(
+    name: str, stack: OpticalStack, levels: dict[float, tuple[FloatArray, FloatArray]]
+) -> list[dict[str, object]]:
+    """What each sphere returns, over what the largest returns in the same rig."""
+    top, top_error = levels[max(levels)]
     rows: list[dict[str, object]] = []
-    for w, nm in enumerate(stack.wavelength_nm.tolist()):
-        a, b = cut.value[w, here].mean(), known[w].mean()
-        spread = [np.sqrt((e**2).sum()) / here.sum() for e in (cut.error[w, here], known_se[w])]
-        rows.append(
-            {"reading": name, "wavelength_nm": nm, "radius_mm": radius, "ratio": a / b,
-             "ratio_se": a / b * float(np.hypot(spread[0] / a, spread[1] / b))}
-        )  # fmt: skip
+    for radius, (value, error) in levels.items():
+        own = radius != max(levels)
+        for w, nm in enumerate(stack.wavelength_nm.tolist()):
+            ratio = float(value[w] / top[w])
+            spread = float(np.hypot(error[w] / value[w], top_error[w] / top[w])) if own else 0.0
+            rows.append(
+                {"reading": name, "wavelength_nm": nm, "radius_mm": radius, "ratio": ratio, "ratio_se": ratio * spread}
+            )
     return rows
 
 

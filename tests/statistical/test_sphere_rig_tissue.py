@@ -70,7 +70,7 @@ def test_layers_and_surface_agree_with_the_flat_sample():
     both = np.hypot(sphere.error[:, here], error)
     z = (sphere.value[:, here] - value) / both
     assert here.sum() >= 8
-    assert (z**2).mean() < 2.2
+    assert (z**2).mean() < 3.1  # χ² of 9 points exceeds 28 once in 1000 seeds
     level = np.sqrt((both**2).sum()) / value.sum()
     assert level < 0.03
     assert abs(sphere.value[:, here].sum() / value.sum() - 1) < 4 * level + 0.01

@@ -32,6 +32,8 @@ readings = ["measured"]
 preset = "liver"
 [wavelengths]
 list_nm = [550.0, 650.0]
+[rig.lights]
+distance_radii = "infinite"
 [scan]
 kind = "collinear"
 """
@@ -90,6 +92,8 @@ def test_what_does_not_fit_is_named(old, new, said):
     [
         ('readings = ["measured"]', "", "readings"),
         ("list_nm = [550.0, 650.0]", "", "wavelengths"),
+        ('distance_radii = "infinite"', "distance_radii = 10.0", "distant"),
+        ("[scan]", "[goniometer]\ntheta_step_deg = 10.0\n[scan]", "multiple of goniometer.theta_step_deg"),
         (
             "[scan]",
             '[[criterion]]\nmetric = "rmse"\nagainst = "goniometer"\nwavelength_nm = 600.0\ntolerance = 1.0\n[scan]',

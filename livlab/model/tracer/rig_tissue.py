@@ -24,7 +24,7 @@ from livlab.model.tracer.tracer import Rays, Tracer
 from livlab.model.transport.rng import uniform
 from livlab.units import FloatArray
 
-CELLS = 64
+CELLS = 128
 """Cells of a sphere's distance field along its diameter."""
 
 PASS_PATHS = 1 << 18
