@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ SATURATION = 0.99
 
 _DISAGREE = 0.05
 _LEAST_LEVEL = 0.03
+
+_BLOCK = 6_000_000
+"""Values that are merged at a time: a large photograph takes several times its size in double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +65,13 @@ class Development:
         """Step of the stored values as a share of full scale; 0 of floating point."""
         return 1.0 / photograph.full_scale if np.isfinite(photograph.full_scale) else 0.0
 
-    def linear(self, photograph: Photograph, exposure: float) -> tuple[Float32Array, Float32Array, NDArray[np.bool_]]:
-        """Linear values, their variance (NaN where the noise is not known), and which are clipped, all (r, c, ch)."""
+    def linear(
+        self, photograph: Photograph, exposure: float, rows: slice | None = None
+    ) -> tuple[Float32Array, Float32Array, NDArray[np.bool_]]:
+        """Linear values, their variance (NaN where the noise is not known), and which are clipped, all (r, c, ch).
+
+        `rows` says which rows of the dark and flat frames belong to a photograph that is a part of a larger one.
+        """
         stored = self.stored(photograph)
         clipped = np.zeros(stored.shape, dtype=bool)
         if np.isfinite(photograph.full_scale):
@@ -76,24 +84,26 @@ class Development:
             variance = np.asarray(
                 self.noise.read**2 + self.noise.gain * np.clip(value, 0, None) + step**2 / 12, dtype=np.float32
             )
-        dark = self._dark(exposure, value.shape)
+        dark = self._dark(exposure, value.shape, rows)
         if dark is not None:
             value = value - dark
         if self.flat is not None:
-            flat = _fitting("flat", self.flat, value.shape)
+            flat = _fitting("flat", self.flat, value.shape, rows)
             value, variance = value / flat, variance / flat**2
         return value, variance, clipped
 
-    def _dark(self, exposure: float, shape: tuple[int, ...]) -> Float32Array | None:
+    def _dark(self, exposure: float, shape: tuple[int, ...], rows: slice | None) -> Float32Array | None:
         if not self.dark:
             return None
-        return _fitting("dark", min(self.dark, key=lambda pair: abs(np.log(pair[0] / exposure)))[1], shape)
+        nearest = min(self.dark, key=lambda pair: abs(np.log(pair[0] / exposure)))[1]
+        return _fitting("dark", nearest, shape, rows)
 
 
-def _fitting(name: str, frame: Float32Array, shape: tuple[int, ...]) -> Float32Array:
+def _fitting(name: str, whole: Float32Array, shape: tuple[int, ...], rows: slice | None) -> Float32Array:
+    frame = whole if rows is None else whole[rows]
     if frame.shape[:2] != shape[:2] or frame.shape[2] not in (1, shape[2]):
         raise InputError.of(
-            f"{name} frame", frame.shape, f"must have the size {shape} of the pictures", "Take it with the same camera."
+            f"{name} frame", whole.shape, "must have the size of the pictures", "Take it with the same camera."
         )
     return frame
 
@@ -151,74 +161,80 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
     if len(shapes) > 1:
         names = ", ".join(f"{p.name} {p.values.shape[1]}x{p.values.shape[0]}" for p in photographs[:4])
         raise InputError.of("photographs", names, "must have one size", "Give all pictures uncropped.")
-    if len(photographs) == 1:
-        return _alone(photographs[0], exposures[0], development)
-    frames = [development.linear(p, t) for p, t in zip(photographs, exposures, strict=True)]
+    first = photographs[0].values
+    value = np.empty(first.shape, dtype=np.float32)
+    variance = np.empty(first.shape, dtype=np.float32)
+    clipped = lost = 0
+    tall = max(_BLOCK // (first.shape[1] * first.shape[2]), 1)
+    for start in range(0, first.shape[0], tall):
+        rows = slice(start, start + tall)
+        frames = [
+            development.linear(replace(p, values=p.values[rows]), t, rows)
+            for p, t in zip(photographs, exposures, strict=True)
+        ]
+        value[rows], variance[rows] = _weighted(frames, exposures, development.noise)
+        clipped += int(np.all([c for _, _, c in frames], axis=0).sum())
+        lost += int(np.all([~np.isfinite(x) for x, _, _ in frames], axis=0).sum())
+    agreement, notes = _agreement(photographs, exposures, development)
+    if clipped and len(photographs) > 1:
+        notes.append(f"{clipped} values clip in every exposure: the shortest is too long for the highlight.")
+    elif clipped:
+        notes.append(f"{clipped} values are clipped and left out.")
+    return Merged(value, variance, clipped / first.size, lost / first.size, agreement, tuple(notes))
+
+
+_Frame = tuple[Float32Array, Float32Array, NDArray[np.bool_]]
+
+
+def _weighted(
+    frames: Sequence[_Frame], exposures: Sequence[float], known: Noise | None
+) -> tuple[Float32Array, Float32Array]:
+    """Merged values and their variance."""
     good = [np.isfinite(x) & ~clipped for x, _, clipped in frames]
-    noise = development.noise or Noise(read=1e-3, gain=1e-4)  # weights alone: the variance stays unknown
-    estimate: Float32Array | None = None
+    if len(frames) == 1:
+        one = np.float32(exposures[0])
+        return np.where(good[0], frames[0][0] / one, np.float32(np.nan)), frames[0][1] / one**2
+    noise = known or Noise(read=1e-3, gain=1e-4)  # weights alone: the variance stays unknown
+    estimate: FloatArray | None = None
     weights = np.zeros(0)
     for _ in range(3):
         total = np.zeros(frames[0][0].shape)
         weights = np.zeros(frames[0][0].shape)
-        for (x, known, _), t, use in zip(frames, exposures, good, strict=True):
-            if estimate is None:
-                variance = noise.read**2 + noise.gain * np.clip(np.where(use, x, 0), 0, None)
-            else:
-                at = np.clip(np.nan_to_num(estimate) * t, 0, None)
-                variance = noise.read**2 + noise.gain * at
-                if development.noise is not None:
-                    # Flat and quantisation as they were found, photon noise at the merged value.
-                    extra = known - (noise.read**2 + noise.gain * np.clip(np.nan_to_num(x), 0, None))
-                    variance = variance + np.clip(np.nan_to_num(extra), 0, None)
+        for (x, told, _), t, use in zip(frames, exposures, good, strict=True):
+            own = np.clip(np.nan_to_num(x), 0, None)
+            at = own if estimate is None else np.clip(np.nan_to_num(estimate) * t, 0, None)
+            variance: NDArray[np.floating] = noise.read**2 + noise.gain * at
+            if known is not None:
+                # Flat and quantisation as they were found, photon noise at the merged value.
+                variance = variance + np.clip(np.nan_to_num(told - noise.read**2 - noise.gain * own), 0, None)
             w = np.where(use, t**2 / np.maximum(variance, 1e-30), 0.0)
             total += np.where(use, w * x / t, 0.0)
             weights += w
         with np.errstate(invalid="ignore", divide="ignore"):
-            estimate = np.where(weights > 0, total / weights, np.nan).astype(np.float32)
+            estimate = np.where(weights > 0, total / weights, np.nan)
     assert estimate is not None
     with np.errstate(divide="ignore"):
-        variance = np.where(weights > 0, 1 / weights, np.nan)
-    if development.noise is None:
-        variance = np.full(variance.shape, np.nan)
-    agreement, notes = _agreement(frames, exposures, good)
-    everywhere = np.all([clipped for _, _, clipped in frames], axis=0)
-    if everywhere.any():
-        notes.append(
-            f"{int(everywhere.sum())} values clip in every exposure: the shortest is too long for the highlight."
-        )
-    finite = np.any([np.isfinite(x) for x, _, _ in frames], axis=0)
-    return Merged(
-        estimate,
-        np.asarray(variance, dtype=np.float32),
-        float(everywhere.mean()),
-        float(1 - finite.mean()),
-        agreement,
-        tuple(notes),
-    )
-
-
-def _alone(photograph: Photograph, exposure: float, development: Development) -> Merged:
-    value, variance, clipped = development.linear(photograph, exposure)
-    value = np.where(clipped, np.float32(np.nan), value / np.float32(exposure))
-    notes = (f"{int(clipped.sum())} values are clipped and left out.",) if clipped.any() else ()
-    lost = float(1 - np.isfinite(development.stored(photograph)).mean())
-    return Merged(value, variance / np.float32(exposure**2), float(clipped.mean()), lost, (1.0,), notes)
+        spread = np.where(weights > 0, 1 / weights, np.nan) if known is not None else np.full(weights.shape, np.nan)
+    return np.asarray(estimate, dtype=np.float32), np.asarray(spread, dtype=np.float32)
 
 
 def _agreement(
-    frames: Sequence[tuple[Float32Array, Float32Array, NDArray[np.bool_]]],
-    exposures: Sequence[float],
-    good: Sequence[NDArray[np.bool_]],
+    photographs: Sequence[Photograph], exposures: Sequence[float], development: Development
 ) -> tuple[tuple[float, ...], list[str]]:
-    """Ratios of each exposure to the next shorter one, where both hold."""
-    order = np.argsort(exposures)
-    shares = [float("nan")] * len(frames)
-    for i, j in itertools.pairwise(order):
-        both = good[i] & good[j] & (frames[i][0] > _LEAST_LEVEL)
+    """Ratios of each exposure to the next shorter one, where both hold, on every n-th row."""
+    shares = [float("nan")] * len(photographs)
+    if len(photographs) == 1:
+        return (1.0,), []
+    rows = slice(None, None, max(photographs[0].values.size // _BLOCK, 1))
+    frames = [
+        development.linear(replace(p, values=p.values[rows]), t, rows)
+        for p, t in zip(photographs, exposures, strict=True)
+    ]
+    for i, j in itertools.pairwise(np.argsort(exposures)):
+        (x, _, clip_x), (y, _, clip_y) = frames[i], frames[j]
+        both = ~clip_x & ~clip_y & (x > _LEAST_LEVEL) & np.isfinite(y)
         if both.sum() > 50:
-            pair = frames[j][0][both] / exposures[j] / (frames[i][0][both] / exposures[i])
-            shares[j] = float(np.median(pair))
+            shares[j] = float(np.median(y[both] / exposures[j] / (x[both] / exposures[i])))
     off = [abs(s - 1) for s in shares if np.isfinite(s)]
     if not off or max(off) <= _DISAGREE:
         return tuple(shares), []

@@ -95,6 +95,14 @@ def test_models_are_ranked(folder):
     assert rows[1]["delta_bic"] > 100
 
 
+def test_samples_are_converted_and_compared(folder, tmp_path):
+    assert run("convert", folder / "s.nc", tmp_path / "s.csv")[0] == 0
+    code, said = run("compare", folder / "s.nc", tmp_path / "s.csv", "--json")
+    assert code == 0, said
+    assert json.loads(said)[0]["relative"] < 0.08  # samples against the mean of their cell
+
+
+@pytest.mark.slow
 def test_files_are_converted_and_compared(folder, tmp_path):
     for suffix in (".csv", ".binary"):
         assert run("convert", folder / "s.nc", tmp_path / f"s{suffix}")[0] == 0
@@ -108,8 +116,7 @@ def test_files_are_converted_and_compared(folder, tmp_path):
     assert merl["pearson"] > 0.95
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
-@pytest.mark.parametrize("which", [None, "lambert+blinn-phong"])
+@pytest.mark.parametrize(("suffix", "which"), [(".png", "lambert+blinn-phong"), (".svg", None)])
 def test_plots(folder, tmp_path, suffix, which):
     more = [] if which is None else ["-m", which]
     assert run("plot", folder / "s.nc", "-o", tmp_path / f"p{suffix}", *more)[0] == 0
@@ -121,6 +128,7 @@ def test_plots(folder, tmp_path, suffix, which):
         assert "holes grey" in (tmp_path / "p.svg").read_text()
 
 
+@pytest.mark.slow
 def test_a_table_without_pixels_is_plotted_too(folder, tmp_path):
     run("convert", folder / "s.nc", tmp_path / "s.binary")
     assert run("plot", tmp_path / "s.binary", "-o", tmp_path / "p.png")[0] == 0

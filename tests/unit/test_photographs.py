@@ -110,7 +110,8 @@ def test_without_faults_the_truth_comes_out(shot):
 
 def corrected(shot, faults, bad, good):
     """Deviations with and without the calibration."""
-    return off(run(shot.write(faults, **bad))), off(run(shot.write(faults, **good))), run(shot.write(faults, **bad))
+    told = run(shot.write(faults, **bad))
+    return off(told), off(run(shot.write(faults, **good))), told
 
 
 def test_distortion(shot):
