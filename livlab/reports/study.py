@@ -33,7 +33,7 @@ def _points(run: RunData, pictures: Pictures) -> list[Section]:
     logarithmic = [str(t) == "log" for t in factors["transform"]]
     section = Section("points", "The points")
     section.content.append(_varied(factors))
-    for k in range(min(3, len(factors))):
+    for k in _telling(run.table("indices"), factors):
         name = str(factors["factor"].iloc[k])
         caption = f"Curves of all points, coloured by {name}."
         section.content.append(pictures.add(f"curves-{k}", draw.curves(run.result, k, logarithmic[k]), caption))
@@ -41,17 +41,29 @@ def _points(run: RunData, pictures: Pictures) -> list[Section]:
     if len(factors) == 2 and _is_grid(run.table("results"), factors):
         for k, name in enumerate(outputs):
             if np.isfinite(run.result[f"output_{k}"]).any():
-                figure = draw.heat(run.result, k, (logarithmic[0], logarithmic[1]))
-                section.content.append(pictures.add(f"heat-{k}", figure, f"{_capital(name)} over both factors."))
+                figure = draw.heat(run.result, k)
+                section.content.append(pictures.add(f"heat-{k}", figure, f"Over both factors: {name}."))
     elif len(factors) <= MOST_SCATTER:
-        figure = draw.scatter(run.result, logarithmic)
-        section.content.append(pictures.add("scatter", figure, "Every output against every factor."))
+        for k, name in enumerate(outputs):
+            if np.isfinite(run.result[f"output_{k}"]).any():
+                figure = draw.scatter(run.result, k, logarithmic)
+                section.content.append(pictures.add(f"scatter-{k}", figure, f"Against every factor: {name}."))
     table = run.table("results")
     section.content.append(Text(_extremes(table, outputs, factors)))
     more = f" (the first {MOST_ROWS} of {len(table)}; all in results.csv)" if len(table) > MOST_ROWS else ""
     shown = table.head(MOST_ROWS).drop(columns=[c for c in ("error",) if not table[c].notna().any()])
     section.content.append(from_frame(shown, f"Every point{more}.", folded="The numbers"))
     return [section]
+
+
+def _telling(found: pd.DataFrame, factors: pd.DataFrame) -> list[int]:
+    """Numbers of the factors to colour curves by: those that decide most where that is known, else the first."""
+    names = [str(f) for f in factors["factor"]]
+    if not len(found):
+        return list(range(min(3, len(names))))
+    column = "total" if "total" in found else "mu_star"
+    most = found.groupby("factor")[column].max().sort_values(ascending=False)
+    return [names.index(str(n)) for n in most.index[:2]]
 
 
 def _varied(factors: pd.DataFrame) -> object:
@@ -169,7 +181,8 @@ def _ablation(run: RunData, pictures: Pictures) -> list[Section]:
     shaded = " Shaded: what is to be explained." if len(targets) else ""
     changes.content.append(pictures.add("cases", figure, f"Every case that differs, ±2 standard errors.{shaded}"))
     captions = {
-        "option": "Options of the readings, each changed alone. A change of 0 is exact: the scene is the same.",
+        "option": "Options of the readings, each changed alone. A change of 0 is exact: the scene is the same. "
+        "Shaded: a change of more than three standard errors.",
         "path": "All the way, an option at a time; each change is against the line before.",
         "effect": "Effects left out, each alone.",
     }
@@ -196,7 +209,7 @@ def _changed(part: pd.DataFrame, outputs: list[str]) -> pd.DataFrame:
         made["row"] = [str(int(r)) if pd.notna(r) else "–" for r in part["row"]]
     made["option"], made["choice"] = part["option"].to_numpy(), part["choice"].to_numpy()
     if (part["group"] == "effect").all():
-        made = made.drop(columns="choice")
+        made = made.drop(columns="choice").rename(columns={"option": "effect"})
     moves = np.zeros(len(part), dtype=bool)
     for o in outputs:
         made[o] = [number(v, 3) for v in part[o]]
@@ -205,7 +218,7 @@ def _changed(part: pd.DataFrame, outputs: list[str]) -> pd.DataFrame:
             "0" if c == 0.0 and e == 0.0 else _signed(c, e) for c, e in zip(change, error, strict=True)
         ]
         moves |= np.abs(change) > 3 * error
-    made["seconds"] = part["seconds"].round(2).to_numpy()
+    made["seconds"] = [number(v, 3) if pd.notna(v) else "–" for v in part["seconds"]]
     made["moves"] = moves
     return made
 

@@ -40,21 +40,24 @@ def curves(result: xr.Dataset, factor: int, logarithmic: bool) -> Figure:
                 ax.plot(x, row, color=ramp(norm(value)), lw=1.1, alpha=0.8, marker="o" if len(x) == 1 else None)
             unit = str(data.attrs.get("units", "1"))
             label = name if unit == "1" else f"{name} [{unit}]"
-            figure.colorbar(mpl.cm.ScalarMappable(norm, ramp), ax=ax, label=label)
+            bar = figure.colorbar(mpl.cm.ScalarMappable(norm, ramp), ax=ax, label=label)
+            if isinstance(norm, LogNorm):
+                bar.set_ticks(_few(values), labels=[f"{v:.2g}" for v in _few(values)])
+                bar.minorticks_off()
         else:
             kinds = list(dict.fromkeys(map(str, data.to_numpy())))
             for row, value in zip(y[::step], map(str, data.to_numpy()[::step]), strict=True):
                 ax.plot(x, row, color=colour(kinds.index(value)), lw=1.1, alpha=0.7)
             for k, kind in enumerate(kinds):
                 ax.plot([], [], color=colour(k), label=kind)
-            ax.legend(title=name, loc="upper left")
+            ax.legend(title=name, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
         ax.set_ylim(bottom=min(0.0, float(np.nanmin(y))))
         ax.set_xlabel("wavelength [nm]")
         ax.set_ylabel("what the instrument reads")
         return figure
 
 
-def heat(result: xr.Dataset, output: int, logarithmic: tuple[bool, bool]) -> Figure:
+def heat(result: xr.Dataset, output: int) -> Figure:
     """One output over a grid of two factors."""
     first, second = (result[f"factor_{k}"] for k in (0, 1))
     data = result[f"output_{output}"]
@@ -80,25 +83,27 @@ def heat(result: xr.Dataset, output: int, logarithmic: tuple[bool, bool]) -> Fig
         return figure
 
 
-def scatter(result: xr.Dataset, logarithmic: list[bool]) -> Figure:
-    """Every output against every factor, side by side."""
+def scatter(result: xr.Dataset, output: int, logarithmic: list[bool]) -> Figure:
+    """One output against every factor, panels side by side."""
     factors = _numbered(result, "factor")
-    outputs = _numbered(result, "output")
+    data = result[f"output_{output}"]
     with style():
-        columns = len(factors)
-        figure = Figure(figsize=(max(7.4, 1.75 * columns), 0.6 + 1.7 * len(outputs)))
-        axes = figure.subplots(len(outputs), columns, squeeze=False, sharey="row", sharex="col")
-        for i, out in enumerate(outputs):
-            y = out.to_numpy()
-            for j, factor in enumerate(factors):
-                ax = axes[i, j]
-                _points(ax, factor, y, j)
-                if logarithmic[j]:
-                    ax.set_xscale("log")
-                if j == 0:
-                    ax.set_ylabel(str(out.attrs["long_name"]), fontsize=8)
-                if i == len(outputs) - 1:
-                    ax.set_xlabel(_axis(factor).replace(" ", "\n", 1), fontsize=8)
+        columns = min(4, len(factors))
+        rows = -(-len(factors) // columns)
+        figure = Figure(figsize=(7.4, 0.3 + 2.1 * rows))
+        axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        for j, factor in enumerate(factors):
+            ax = axes.flat[j]
+            _points(ax, factor, data.to_numpy(), j)
+            if logarithmic[j]:
+                ax.set_xscale("log")
+                _plain_decades(ax, factor.to_numpy())
+            ax.set_xlabel(_axis(factor).replace(" [", "\n[", 1), fontsize=8)
+            ax.tick_params(labelsize=7)
+        for ax in axes.flat[len(factors) :]:
+            ax.set_visible(False)
+        for ax in axes[:, 0]:
+            ax.set_ylabel(str(data.attrs["long_name"]), fontsize=8)
         return figure
 
 
@@ -198,7 +203,7 @@ def cases(table: pd.DataFrame, outputs: list[str], targets: pd.DataFrame, metric
             if metrics.get(output) == "pearson":
                 ax.set_xscale("function", functions=(_fisher, np.tanh))
                 ax.set_xlim(-0.98, 0.999)
-                ax.set_xticks([-0.9, 0.0, 0.7, 0.9, 0.97, 0.99], ["−.9", "0", ".7", ".9", ".97", ".99"])
+                ax.set_xticks([-0.9, 0.0, 0.9, 0.99], ["−.9", "0", ".9", ".99"])
             ax.set_title(output, fontsize=9)
             ax.grid(True, axis="y", color=RULE, lw=0.5)
             ax.tick_params(axis="x", labelsize=7)
@@ -229,6 +234,18 @@ def _numbered(result: xr.Dataset, what: str) -> list[xr.DataArray]:
     while f"{what}_{len(found)}" in result:
         found.append(result[f"{what}_{len(found)}"])
     return found
+
+
+def _few(values: Any) -> list[float]:
+    """Round numbers, even in the logarithm."""
+    low, high = 0.98 * float(np.nanmin(values)), 1.02 * float(np.nanmax(values))
+    found = [m * 10.0**e for e in range(-12, 13) for m in (1, 2, 5) if low <= m * 10.0**e <= high]
+    return found if len(found) <= 7 else found[:: -(-len(found) // 7)]
+
+
+def _plain_decades(ax: Axes, values: Any) -> None:
+    ax.set_xticks(_few(values), [f"{v:.2g}" for v in _few(values)])
+    ax.minorticks_off()
 
 
 def _norm(values: Any, logarithmic: bool) -> Normalize:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Table = tuple[tuple[str, ...], list[dict[str, object]]]
 COSTS = ("stage", "seconds", "evaluations", "samples", "solver")
+NOT_REACHED = "the wanted standard error was not reached at some wavelengths; the errors shown say by how much"
 _OWN = ("case", "label", "seconds", "error")
 
 
@@ -217,9 +218,8 @@ def shared_notes(cases: Sequence[Case], given: Mapping[str, Answer]) -> list[str
     by_form: dict[str, dict[str, str]] = {}
     for case in cases:
         for text in given[case.label].get("notes", ()):
-            if "not reached" in text:
-                text = "the wanted standard error was not reached at some wavelengths; the errors shown say by how much"
-            by_form.setdefault(re.sub(r"\d[\d., ]*", "#", text), {}).setdefault(case.label, text)
+            said = NOT_REACHED if "not reached" in text else text
+            by_form.setdefault(re.sub(r"\d[\d., ]*", "#", said), {}).setdefault(case.label, said)
     made = []
     for found in by_form.values():
         texts = list(dict.fromkeys(found.values()))
