@@ -83,8 +83,8 @@ def distance_field(
 ) -> DistanceField:
     """Signed distance to a closed mesh, positive inside.
 
-    Near the surface the nearest triangle is found by libigl's tree and the sign by its pseudonormal (Bærentzen & Aanæs
-    2005). Farther away the value is the Euclidean distance transform of the nodes next to the surface, less the most
+    Near the surface the nearest triangle is found by libigl's tree and the sign as `exact.signed_distance` has it.
+    Farther away the value is the Euclidean distance transform of the nodes next to the surface, less the most
     that the surface can lie nearer than those nodes; the sign there is the winding number of each connected region.
 
     Parameters

@@ -12,7 +12,7 @@ from livlab.model.shapes.mesh import TriangleMesh
 Field = NDArray[np.float64]
 Point = tuple[float, float, float]
 
-_VERSION = 2
+_VERSION = 4
 
 
 def liver(size_mm: float = 140.0, resolution_mm: float = 0.75, *, cached: bool = True) -> TriangleMesh:
@@ -88,9 +88,9 @@ def solid(x: Field, y: Field, z: Field) -> Field:
     visceral = _ellipsoid(wx, wy, wz, (35, 66, -116), (140, 140, 138))
     # What lies on the visceral side, seen from below: beds, fissures and the two small lobes between them.
     visceral = visceral - _groove(x, y, (-16, -46), (-9, -8), 8.0, 7.5)  # gallbladder
-    visceral = visceral - _groove(x, y, (17, -52), (12, 0), 3.4, 11.0)  # umbilical fissure and its notch
-    visceral = visceral - _groove(x, y, (-9, 0), (13, 0), 5.0, 5.0)  # porta
-    visceral = visceral - _groove(x, y, (13, 2), (10, 19), 3.6, 5.0)  # fissure of the venous ligament
+    visceral = visceral - _groove(x, y, (17, -52), (12, 0), 4.6, 8.5)  # umbilical fissure and its notch
+    visceral = visceral - _groove(x, y, (-9, 0), (12, 0), 5.0, 4.0)  # porta
+    visceral = visceral - _groove(x, y, (13, 4), (10, 19), 4.2, 4.0)  # fissure of the venous ligament
     visceral = visceral + _groove(x, y, (-1, 14), (0, 18), 6.0, 5.0)  # caudate lobe
     visceral = visceral + _groove(x, y, (3, -26), (3, -14), 6.0, 2.0)  # quadrate lobe
     visceral = visceral - _groove(x, y, (-40, 22), (-38, 30), 13.0, 6.0)  # kidney
@@ -111,7 +111,7 @@ def _step(t: Field) -> Field:
 def _groove(
     x: Field, y: Field, start: tuple[float, float], end: tuple[float, float], width: float, deep: float
 ) -> Field:
-    """Depth in mm of a Gaussian trough of this half-width along a line, seen along z."""
+    """Depth in mm of a Gaussian trough along a line, seen along z; its floor is round, of radius width²/(2 deep)."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     along = np.clip(((x - start[0]) * dx + (y - start[1]) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
     squared = (x - start[0] - along * dx) ** 2 + (y - start[1] - along * dy) ** 2

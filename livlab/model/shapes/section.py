@@ -11,6 +11,9 @@ from livlab.errors import InputError
 from livlab.model.shapes.mesh import FloatArray, TriangleMesh
 
 
+_SLIVER = 1e-7  # of the extent: what rounding leaves along a cut
+
+
 @dataclass(frozen=True)
 class Plane:
     """A plane through a point in mm; what lies on the side its normal points to is taken away.
@@ -142,4 +145,4 @@ def _without(mesh: TriangleMesh, planes: list[Plane], back_mm: float, name: str)
         raise InputError.of(
             "planes", planes, f"leave nothing of the {name} mesh", "Turn the normal, or move the plane."
         )
-    return mesh_of(left)
+    return mesh_of(left.simplify(_SLIVER * float(mesh.extent.max())))

@@ -74,7 +74,7 @@ def inset(mesh: TriangleMesh, thickness_mm: float, how: How = "distance", *, spa
         centre of its volume (Nunes 2019, sect. 6.5), by 1 - t A / (3 V), which makes the shell's mean thickness t
         because the mean of (x - c) · n over a closed surface is 3 V / A; elsewhere it is thicker or thinner.
     spacing_mm
-        Of the distance field: a 280th of the largest extent unless said.
+        Of the distance field: a 280th of the largest extent, and no less than a twelfth of the thickness, unless said.
 
     Raises
     ------
@@ -100,6 +100,8 @@ def inset(mesh: TriangleMesh, thickness_mm: float, how: How = "distance", *, spa
         raise InputError.of("how", how, f"must be one of {', '.join(make)}", "Take distance.")
     check(mesh)
     inner = make[how]()
+    if inner.volume <= 0:
+        _refuse_thick(mesh, thickness_mm)
     warnings = check_inner(mesh, inner)
     return Inset(
         inner,
@@ -151,7 +153,9 @@ def _by_scale(mesh: TriangleMesh, thickness: float) -> TriangleMesh:
 def _by_distance(mesh: TriangleMesh, thickness: float, spacing: float | None) -> TriangleMesh:
     from skimage.measure import marching_cubes
 
-    step = float(mesh.extent.max()) / 280 if spacing is None else spacing
+    from livlab.model.shapes import exact
+
+    step = max(float(mesh.extent.max()) / 280, thickness / 12) if spacing is None else spacing
     field = distance_field(mesh, step, band_mm=max(3 * step, thickness + 2 * step))
     if not float(field.values.max()) > thickness:
         _refuse_thick(mesh, thickness)
@@ -159,8 +163,12 @@ def _by_distance(mesh: TriangleMesh, thickness: float, spacing: float | None) ->
     inner = TriangleMesh(np.asarray(found[0], dtype=np.float64)[:, ::-1] + field.origin_mm, found[1])
     inner = inner if inner.volume > 0 else inner.flipped()
     smooth = _without_slivers(inner)
-    settled = _settled(mesh, smooth, np.arange(len(smooth.vertices)), thickness)
-    return _untangled(_refined(mesh, settled, thickness, shortest=step / 8))
+    settled = smooth
+    for _ in range(2):
+        settled = _settled(mesh, settled, np.arange(len(smooth.vertices)), thickness)
+    fine = _untangled(_refined(mesh, settled, thickness, shortest=step / 3))
+    # Moving vertices may fold a crease for good. What marching cubes gave does not cross itself, only is less exact.
+    return fine if len(exact.self_intersections(fine)) == 0 else inner
 
 
 def _without_slivers(mesh: TriangleMesh) -> TriangleMesh:
@@ -176,12 +184,14 @@ def _settled(outer: TriangleMesh, inner: TriangleMesh, which: Index, thickness: 
     """Move these vertices until their depth is right: to or from the nearest point of the outer mesh.
 
     Where that line leaves the inner mesh's normal by more than 45° the nearest point jumps from one vertex to the next
-    and would send neighbours different ways; there the normal is followed instead.
+    and would send neighbours different ways; there the normal is followed instead. No vertex goes farther than a third
+    of its shortest edge, so that faces do not turn over.
     """
     from livlab.model.shapes import exact
 
     points = inner.vertices.copy()
     normals = inner.vertex_normals
+    leash = _shortest_edge(inner) / 3
     wrong = which
     for _ in range(_ROUNDS):
         depth, outwards = exact.depth(outer, points[wrong])
@@ -191,20 +201,33 @@ def _settled(outer: TriangleMesh, inner: TriangleMesh, which: Index, thickness: 
             break
         along = np.einsum("ij,ij->i", outwards, normals[wrong]) > np.cos(np.pi / 4)
         points[wrong] += (depth - thickness)[:, None] * np.where(along[:, None], outwards, normals[wrong])
+        way = points[wrong] - inner.vertices[wrong]
+        shorten = np.minimum(1.0, leash[wrong] / np.maximum(np.linalg.norm(way, axis=1), 1e-12))
+        points[wrong] = inner.vertices[wrong] + shorten[:, None] * way
     return TriangleMesh(points, inner.faces)
+
+
+def _shortest_edge(mesh: TriangleMesh) -> FloatArray:
+    ends, _ = edges(mesh)
+    length = np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1)
+    shortest = np.full(len(mesh.vertices), np.inf)
+    for side in range(2):
+        np.minimum.at(shortest, ends[:, side], length)
+    return shortest
 
 
 def _untangled(inner: TriangleMesh) -> TriangleMesh:
     """Where faces cross, let the vertices around go to their neighbours' mean; what still crosses is for `check`."""
     from livlab.model.shapes import exact
 
-    for _ in range(_ROUNDS):
+    loose = np.zeros(len(inner.vertices), dtype=bool)
+    for rings in range(1, _ROUNDS + 1):  # what does not come free in a small patch may in a wider one
         crossing = np.unique(exact.self_intersections(inner))
         if len(crossing) == 0:
             break
-        loose = np.zeros(len(inner.vertices), dtype=bool)
         loose[inner.faces[crossing]] = True
-        loose[inner.faces[loose[inner.faces].any(axis=1)]] = True
+        for _ in range(rings):
+            loose[inner.faces[loose[inner.faces].any(axis=1)]] = True
         ends, _ = edges(inner)
         ends = ends[loose[ends].any(axis=1)]
         both = np.concatenate([ends, ends[:, ::-1]])
