@@ -18,6 +18,14 @@ def nap(payload):
     return {"k": payload["k"], "square": payload["k"] ** 2 / 7}
 
 
+def gate(payload):
+    """Wait for a file."""
+    Path(payload["log"], f"gate-{os.getpid()}-{uuid.uuid4().hex[:8]}").touch()
+    while not Path(payload["log"], "go").exists():
+        time.sleep(0.02)
+    return {"open": True}
+
+
 def die(payload):
     """End the worker as the system does when memory is short."""
     Path(payload["log"], f"die-{os.getpid()}-{uuid.uuid4().hex[:8]}").touch()
@@ -44,7 +52,7 @@ def threads(payload):
     return {"threads": int(os.environ["LIVLAB_THREADS"]), "pid": os.getpid()}
 
 
-for function in (nap, die, needy, refuse, threads):
+for function in (nap, gate, die, needy, refuse, threads):
     EVALUATORS[function.__name__] = f"{Path(__file__).stem}:{function.__name__}"
 
 

@@ -129,7 +129,7 @@ def test_failures_are_told_and_the_others_finish(address, log):
     assert len(store.answers) == 4
 
 
-def test_two_studies_take_turns_and_do_common_jobs_once(address, log):
+def test_two_studies_take_turns(address, log):
     jobs, ended, answers = naps(log, 24, 0.1), {}, {}
 
     def study(name, part):
@@ -151,7 +151,20 @@ def test_two_studies_take_turns_and_do_common_jobs_once(address, log):
     counts = begun(log)
     assert len(counts) == 24
     assert all(counts[str(k)] == 1 for k in [*range(8), *range(16, 24)])
-    assert sum(counts.values()) <= 24 + 8  # one that both had in hand at once was done once
+
+
+def test_a_job_that_two_studies_have_in_hand_is_done_once(cluster, address, log):
+    job, answers = Job("gate", {"log": str(log)}), []
+    both = [threading.Thread(target=lambda: answers.extend(run_jobs([job], Remote(address)))) for _ in range(2)]
+    for thread in both:
+        thread.start()
+    tasks = cluster.cluster.scheduler.tasks
+    wait_for(lambda: any(len(task.who_wants) == 2 for task in list(tasks.values())))
+    (log / "go").touch()
+    for thread in both:
+        thread.join(60)
+    assert answers == [{"open": True}] * 2
+    assert begun(log)["gate"] == 1
 
 
 def test_a_client_killed_goes_on_where_it_stopped(address, tmp_path, log):

@@ -50,7 +50,7 @@ metric = "mean"
 """
 
 
-def livlab(folder, *options, **environment):
+def livlab(folder, *options):
     (folder / "faults.toml").write_text(STUDY)
     command = [
         sys.executable,
@@ -61,9 +61,8 @@ def livlab(folder, *options, **environment):
         "--no-report",
         *options,
     ]
-    return subprocess.Popen(
-        command, env={**os.environ, **environment}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
+    # A session of its own: a Ctrl-C can be sent to all of it, as a terminal does.
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
 
 
 def finished(process):
@@ -106,6 +105,26 @@ def test_kill_9_of_the_client_and_all_it_started(libllvm, tmp_path):
     assert len(list(shared.rglob("*.json"))) == POINTS
     assert numbers(there) == numbers(here)
     assert not kept(there)  # pieces are dropped when all is done
+
+
+@pytest.mark.slow
+def test_ctrl_c_of_the_whole_terminal_keeps_what_is_done(libllvm, tmp_path):
+    study = livlab(tmp_path, "--out", str(tmp_path / "runs"), "--scheduler", "processes:2")
+    limit = time.monotonic() + 200
+    while len(kept(tmp_path / "runs")) < 2:
+        assert study.poll() is None and time.monotonic() < limit
+        time.sleep(0.02)
+    children = psutil.Process(study.pid).children(recursive=True)
+    os.killpg(study.pid, signal.SIGINT)
+    said = study.communicate(timeout=60)[0].decode()
+    assert study.returncode == 130, said
+    assert "--scheduler processes:2" in said and "Traceback" not in said and "lost" not in said
+    _, left = psutil.wait_procs(children, timeout=30)
+    assert left == []
+    done = kept(tmp_path / "runs")
+    assert 3 <= len(done) < POINTS
+    assert "Traceback" not in finished(livlab(tmp_path, "--out", str(tmp_path / "runs")))
+    assert len(numbers(tmp_path / "runs")) == POINTS
 
 
 @pytest.mark.slow

@@ -149,7 +149,7 @@ class Processes:
                 worker_dashboard_address=None,
                 scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # else its pages take port 8787
                 memory_limit=self.memory_limit,
-                preload=list(self.preload),
+                preload=["livlab.study.scheduler.worker", *self.preload],
                 env=dict(self.environment),
                 silence_logs=logging.CRITICAL,
             )

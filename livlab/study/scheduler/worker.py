@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import os
 import platform
+import signal
+import threading
 import traceback
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,12 @@ def versions() -> dict[str, Any]:
     from livlab.runs import RESULT_VERSION
 
     return {"livlab": __version__, "result": RESULT_VERSION, "answer": ANSWER_VERSION}
+
+
+def dask_setup(_worker: object) -> None:
+    """Outlive a Ctrl-C, which a terminal sends to all processes: the client ends this one when it has what it wants."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def facts() -> dict[str, Any]:
