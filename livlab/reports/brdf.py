@@ -13,6 +13,7 @@ from livlab.reports.folder import RunData
 from livlab.reports.picture import png_size
 from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
 
+_FIT = ("pose", "parameter", "value", "95 % interval")
 PERCENT = ("relative_rms", "weighted_rms", "percentile_99", "worst", "coverage")
 
 
@@ -73,9 +74,13 @@ def _samples(run: RunData, pictures: Pictures) -> Section:
         section.content.append(
             from_frame(
                 shown,
-                "One sample for each light and pixel that sees the sphere within the largest angle. Relative rms: of "
-                "f / f_true − 1. Weighted: cosine-weighted difference over the cosine-weighted truth. Coverage: share "
-                "of the reachable cells of 2° × 2° × 4° in half-angle coordinates that hold a sample.",
+                "One sample for each light and pixel that sees the sphere within the largest angle. "
+                + (
+                    "Relative rms: of f / f_true − 1. Weighted: cosine-weighted difference over the weighted truth. "
+                    if "relative_rms" in shown
+                    else "Median error: of one sample's own standard error over its value. "
+                )
+                + "Coverage: share of the reachable cells of 2° × 2° × 4° of half-angle coordinates with samples.",
                 titles={"percentile_99": "99th percentile"},
             )
         )
@@ -86,8 +91,9 @@ def _samples(run: RunData, pictures: Pictures) -> Section:
             pictures.add(
                 "half-angles",
                 drawn.half_angle_maps(run.result, names, dim),
-                "Where the samples lie in half-angle coordinates, over all azimuths, and their rms relative error "
-                "there. Blank: no sample.",
+                "Where the samples lie in half-angle coordinates, over all azimuths, and there their rms relative "
+                + ("error" if dim == "material" else "standard error, a sample each")
+                + ". Blank: no sample.",
             )
         )
     poses = run.table("poses")
@@ -133,7 +139,7 @@ def _fits(run: RunData) -> Section:
             from_frame(
                 _spelled(part),
                 f"{name}: {model}, loss {loss}; {seconds}.",
-                only=["pose", "parameter", "value", "95 % interval", "true", "relative error", "status"],
+                only=[*_FIT, *(["true", "relative error"] if part["true"].notna().any() else []), "status"],
                 folded="" if subject == "reading" else f"{name}: {_range(part)}",
             )
         )
@@ -182,17 +188,33 @@ def _cuts(run: RunData, pictures: Pictures) -> Section:
             drawn.cuts(run.result, str(scan.get("kind"))),
             "The BRDF read from the sphere's pictures, and of a flat sample of the same tissue in a virtual "
             "goniometer, each with ±2 standard errors; the Nunes 2017 form (Lambert and an isotropic "
-            "Ashikhmin–Shirley lobe) fitted to the sphere's samples. The mirror reflection of the smooth surface is a "
-            "delta, which no sample sees: it is in none of the three.",
+            "Ashikhmin–Shirley lobe) fitted to the sphere's samples. What the smooth surface mirrors is in none of "
+            "them; what an interface below mirrors is, and shows where the layer above hardly scatters.",
         )
     )
     table = run.table("comparison")
     if len(table):
-        section.content.append(from_frame(_errors(table), "The curves compared, over the angles shown."))
+        section.content.append(
+            from_frame(
+                _compared(table),
+                "The curves compared over the angles where the sphere has samples, ± one standard error. Noise: the "
+                "RMSE that the standard errors alone would make. MSE is the thesis's EQM, in 1/sr².",
+                titles={"wavelength_nm": "wavelength [nm]", "noise_rmse": "noise", "ratio": "mean ratio"},
+            )
+        )
     values = run.table("cuts")
     if len(values):
         section.content.append(from_frame(values, "Every point of the curves.", folded="The numbers"))
     return section
+
+
+def _compared(table: pd.DataFrame) -> pd.DataFrame:
+    """The comparison with as many digits as there is room for; the errors of RMSE and MSE are in the folder's table."""
+    shown = table.drop(columns=["mse_se", "rmse_se"]).copy()
+    shown["wavelength_nm"] = ["all" if pd.isna(x) else f"{x:g}" for x in table["wavelength_nm"]]
+    for name in ("rmse", "noise_rmse", "mse"):
+        shown[name] = [number(float(f"{x:.2g}")) for x in table[name]]
+    return _errors(shown)
 
 
 def _errors(table: pd.DataFrame) -> pd.DataFrame:
@@ -213,8 +235,7 @@ def _liver_lobes(run: RunData, pictures: Pictures) -> Section:
             pictures.add(
                 f"lobes-{w + 1}",
                 drawn.liver_lobes(result, w),
-                f"{nm:g} nm: the flat sample (lines) and the sphere (marks) in the plane of incidence, 1/sr; right: "
-                "away from the light.",
+                f"{nm:g} nm: the flat sample (lines) and the sphere (marks) in the plane of incidence.",
             )
         )
     return section

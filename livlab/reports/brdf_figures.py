@@ -24,11 +24,14 @@ def half_angle_maps(result: xr.Dataset, names: list[str], dim: str) -> Figure:
         h, d = result["theta_h"].to_numpy(), result["theta_d"].to_numpy()
         step_h, step_d = h[1] - h[0], d[1] - d[0]
         edges = np.append(h - step_h / 2, h[-1] + step_h / 2), np.append(d - step_d / 2, d[-1] + step_d / 2)
+        known = result["cell_error"].to_numpy()
+        known = 100 * known[np.isfinite(known) & (known > 0)]
+        low, high = np.quantile(known, [0.02, 0.98]) if known.size else (0.01, 1.0)
         shown = None
         for ax, name in zip(axes.flat, names, strict=False):
             error = result["cell_error"].sel({dim: name}).transpose("theta_d", "theta_h").to_numpy()
             shown = ax.pcolormesh(
-                edges[0], edges[1], np.where(error > 0, error, np.nan) * 100, norm=LogNorm(0.003, 10.0),
+                edges[0], edges[1], np.where(error > 0, error, np.nan) * 100, norm=LogNorm(low, max(high, 2 * low)),
                 cmap="viridis", rasterized=True,
             )  # fmt: skip
             ax.set_title(name)
@@ -97,7 +100,9 @@ def cuts(result: xr.Dataset, scan: str) -> Figure:
             for w, nm in enumerate(wavelengths):
                 ax = axes[r, w]
                 at = {"reading": r, "wavelength": w}
-                _with_error(ax, x, result["cut_goniometer"].isel(at), result["cut_goniometer_se"].isel(at), 1, "flat")
+                _with_error(
+                    ax, x, result["cut_goniometer"].isel(at), result["cut_goniometer_se"].isel(at), 1, "flat sample"
+                )
                 _points(ax, x, result["cut_sphere"].isel(at), result["cut_sphere_se"].isel(at), 0, "sphere")
                 fitted = result["cut_fit"].isel(at).to_numpy()
                 if np.isfinite(fitted).any():
@@ -115,30 +120,28 @@ def cuts(result: xr.Dataset, scan: str) -> Figure:
 
 
 def liver_lobes(result: xr.Dataset, wavelength: int) -> Figure:
-    """Polar lobes of the flat sample at every incidence, one panel a reading, with the sphere's samples."""
+    """Values in the plane of incidence at every incidence, one panel a reading: flat sample and sphere."""
     readings = [str(r) for r in result["reading"].values]
     incidences = result["incidence"].to_numpy()
-    theta = np.radians(result["theta"].to_numpy())
+    theta = result["theta"].to_numpy()
     with style():
-        figure = Figure(figsize=(7.4, 3.4 if len(readings) < 4 else 6.2))
         columns = min(3, len(readings))
-        axes = figure.subplots(-(-len(readings) // columns), columns, squeeze=False, subplot_kw={"projection": "polar"})
+        rows = -(-len(readings) // columns)
+        figure = Figure(figsize=(7.4, 0.9 + 2.6 * rows))
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for r, (ax, reading) in enumerate(zip(axes.flat, readings, strict=False)):
             part = result.isel(reading=r, wavelength=wavelength)
             for k, angle in enumerate(incidences):
                 line = part["flat_lobes"].isel(incidence=k).to_numpy()
-                ax.plot(
-                    theta, line, color=colour(k), ls=DASHES[k % len(DASHES)], label=f"{angle:g}°" if r == 0 else None
-                )
+                label = f"light at {angle:g}°" if r == 0 else None
+                ax.plot(theta, line, color=colour(k), ls=DASHES[k % len(DASHES)], lw=1.3, label=label)
                 dots = part["sphere_lobes"].isel(incidence=k).to_numpy()
                 ax.plot(theta, dots, color=colour(k), ls="none", marker=MARKERS[k % len(MARKERS)], ms=3)
-            ax.set_theta_zero_location("N")
-            ax.set_theta_direction(-1)
-            ax.set(thetamin=-90, thetamax=90, title=reading)
-            ax.tick_params(labelsize=7)
-        for ax in axes.flat[len(readings) :]:
-            ax.set_visible(False)
-        figure.legend(loc="outside upper center", ncols=len(incidences), title="light at")
+            # A mirror peak of an inner interface would press all else to the floor.
+            every = part["flat_lobes"].to_numpy()
+            ax.set_ylim(0, 1.25 * float(np.nanquantile(every, 0.96)))
+            ax.set(title=reading, xlim=(-90, 90), xticks=[-60, 0, 60])
+        _finish(figure, axes, len(readings), r"eye $\theta_o$ [deg], minus: on the light's side", "BRDF [1/sr]")
         return figure
 
 

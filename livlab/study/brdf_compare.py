@@ -106,7 +106,7 @@ def _measured(c: BrdfCriterion, label: str, one: Seen) -> Claim:
     try:
         table = datasets.load(REFERENCE)
     except datasets.ReferenceUnavailable as error:
-        reason = f"reference not available: {error.message} {error.remedy}".strip()
+        reason = f"{error.message} {error.remedy}".strip()
         return Claim.missing(label, reason, reference=c.reference, tolerance=c.tolerance)
     angle = table.column("angle") * (180 / np.pi if table.unit("angle") == "rad" else 1.0)
     order = np.argsort(angle)
