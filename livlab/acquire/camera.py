@@ -16,7 +16,6 @@ from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer import stage
 from livlab.model.tracer.baselines import Name, baseline_optics, render_baseline
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.film import row_samples
 from livlab.model.tracer.tracer import Tracer
 from livlab.model.tracer.variant import mitsuba
 from livlab.units import FloatArray
@@ -26,6 +25,9 @@ if TYPE_CHECKING:
 
 LIT = 0.2
 """A pixel is lit where a white body would show this share of what its bright parts (95 of 100 pixels below) show."""
+
+BATCHES = 32
+"""Batches of a picture, at least: what its errors are told from is then itself known to an eighth."""
 
 MASK_SPP = 32
 MONO = "llvm_ad_mono"
@@ -88,6 +90,10 @@ class Camera:
             return filled
         return np.asarray(filled & (radiance >= LIT * float(np.percentile(radiance[filled], 95))))
 
+    @cached_property
+    def _lit_pixels(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        return np.flatnonzero(self.lit)
+
     def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
         """Add one pass to a film.
 
@@ -110,7 +116,7 @@ class Camera:
         while left:
             batches = min(left, tracer.most_rows())
             seen = tracer.launch(batches, film.batch, seed, film.passes)
-            add(film, seen, batches, tracer.padded)
+            add(film, seen, batches, tracer.padded, self._lit_pixels)
             left -= batches
         film.compile_seconds += tracer.compile_seconds - compiled
         for name, count in tracer.troubles.items():
@@ -120,7 +126,7 @@ class Camera:
 
     def batch(self, spp: int) -> int:
         """Samples of a batch, for a picture of so many samples a pixel."""
-        return row_samples(spp)
+        return max(k for k in range(1, max(1, spp // BATCHES) + 1) if spp % k == 0)
 
     def baseline(self, name: str, stack: OpticalStack, *, spp: int, seed: int) -> FloatArray:
         """(row, column, W) the scene with an older model in the tissue's place."""
@@ -172,12 +178,20 @@ class Camera:
         return self._scenes[key]
 
 
-def add(film: Film, seen: Any, batches: int, padded: int) -> None:
-    """Add what a launch saw: (batch · pixel · padded wavelength) sums over each batch."""
+def add(film: Film, seen: Any, batches: int, padded: int, lit: np.ndarray[Any, np.dtype[np.intp]]) -> None:
+    """Add what a launch saw: (batch · pixel · padded wavelength) sums over each batch.
+
+    Parameters
+    ----------
+    lit
+        Numbers of the pixels whose mean spectrum is kept for each batch.
+    """
     rows, columns, waves = film.total.shape
-    for batch in np.asarray(seen).reshape(batches, rows, columns, padded):
-        mean = batch[:, :, :waves].astype(np.float64) / film.batch
+    for batch in np.asarray(seen, dtype=np.float32).reshape(batches, rows, columns, padded):
+        mean = batch[:, :, :waves] * np.float32(1.0 / film.batch)
         film.total += mean
-        film.square += np.square(mean)
+        film.square += np.square(mean, dtype=np.float64)
+        own = mean.reshape(-1, waves)[lit]
+        film.spectra.append(own.mean(axis=0, dtype=np.float64) if len(lit) else np.full(waves, np.nan))
     film.batches += batches
     film.passes += 1

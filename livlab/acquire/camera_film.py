@@ -30,6 +30,8 @@ class Film:
         Launches in the sums: the next has this number, which its random numbers follow from.
     seconds, compile_seconds, setup_seconds
         What they took in all, and of it what compiling and making the scene ready took.
+    spectra
+        For each batch the (W,) mean over the lit body: how errors at different wavelengths go together.
     trace
         (seconds, samples, relative error) after each pass.
     about
@@ -45,6 +47,7 @@ class Film:
     seconds: float = 0.0
     compile_seconds: float = 0.0
     setup_seconds: float = 0.0
+    spectra: list[FloatArray] = field(default_factory=list)
     trace: list[tuple[float, float, float]] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
 
@@ -94,12 +97,26 @@ class Film:
         share[seen] = error[seen] / mean[seen]
         return float(np.median(share))
 
+    def mean_spectrum(self) -> tuple[FloatArray, FloatArray]:
+        """(W,) mean over the lit body, and its (W, W) covariance from how the batches differ; nan for one batch."""
+        self._seen()
+        each = np.asarray(self.spectra)
+        if len(each) < 2:
+            return each.mean(axis=0), np.full((each.shape[1],) * 2, np.nan)
+        return each.mean(axis=0), np.atleast_2d(np.cov(each, rowvar=False, ddof=1)) / len(each)
+
     def to_dataset(self) -> xr.Dataset:
         """For a checkpoint; `from_dataset` gives the film back exactly."""
         dims = ("row", "column", "wavelength")
         trace = np.array(self.trace, dtype=np.float64).reshape(-1, 3)
+        spectra = np.array(self.spectra, dtype=np.float64).reshape(-1, len(self.wavelength_nm))
         return xr.Dataset(
-            {"total": (dims, self.total), "square": (dims, self.square), "trace": (("pass", "what"), trace)},
+            {
+                "total": (dims, self.total),
+                "square": (dims, self.square),
+                "spectra": (("batch", "wavelength"), spectra),
+                "trace": (("pass", "what"), trace),
+            },
             {"wavelength": self.wavelength_nm},
             {
                 "batch": self.batch,
@@ -126,6 +143,7 @@ class Film:
             float(a["seconds"]),
             float(a["compile_seconds"]),
             float(a["setup_seconds"]),
+            list(saved["spectra"].to_numpy()),
             [(float(x), float(y), float(z)) for x, y, z in saved["trace"].to_numpy()],
             {k.removeprefix("about_"): v for k, v in a.items() if k.startswith("about_")},
         )

@@ -279,8 +279,7 @@ def _baselines(run: Run, work: Work) -> dict[str, FloatArray]:
 
 def _seen(work: Work, key: Key, film: Film) -> Seen:
     lit, exposure = work.camera.lit, work.config.colour.exposure
-    radiance, error = film.radiance, film.standard_error
-    colours = {n: mean_colour(radiance, error, lit, r, exposure) for n, r in work.routes.items()} if lit.any() else {}
+    colours = {name: mean_colour(film, route, exposure) for name, route in work.routes.items()}
     return Seen(colours, film.relative_error(lit), film.seconds, peak_memory_gib())
 
 

@@ -11,7 +11,8 @@ import xarray as xr
 from livlab.config_picture import PictureCriterion, PictureExperiment
 from livlab.criteria import Claim
 from livlab.model.colour import delta_e_2000
-from livlab.study.picture_colour import MeanColour, lab
+from livlab.study.picture_colour import MeanColour, lab, propagated
+from livlab.units import FloatArray
 
 Key = tuple[str, str]
 """A picture: name of the tissue ("" for the experiment's own), name of the reading."""
@@ -82,19 +83,13 @@ def _value(
 
 
 def _difference(first: MeanColour, second: MeanColour) -> tuple[float, float]:
-    """ΔE00 of two routes on one picture; they share paths, so their errors are added."""
+    """ΔE00 of two routes on one picture: one spectrum, so that their errors go together as it says."""
 
-    def between(a: MeanColour, b: MeanColour) -> float:
-        pair = [xr.DataArray(lab(x.rgb), dims="channel") for x in (a, b)]
+    def between(spectrum: FloatArray) -> float:
+        pair = [xr.DataArray(lab(x.weights @ spectrum), dims="channel") for x in (first, second)]
         return float(delta_e_2000(pair[0], pair[1], space="lab"))
 
-    error = 0.0
-    for k in range(3):
-        for a, b, own in ((first, second, first), (second, first, second)):
-            moved = own.rgb.copy()
-            moved[k] += max(own.rgb_se[k], 1e-9)
-            error += abs(between(MeanColour(moved, own.rgb_se), b) - between(a, b))
-    return between(first, second), error
+    return between(first.spectrum), propagated(between, first.spectrum, first.covariance)
 
 
 def _missing(name: str, reason: str, low: float, high: float, seconds: float) -> Claim:

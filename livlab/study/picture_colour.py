@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
+from livlab.acquire.camera_film import Film
 from livlab.config_picture import Colour
 from livlab.model.colour import channel_wavelengths, cie_weights, stochastic_weights, thesis_weights, to_rgb
 from livlab.model.colour.difference import SRGB_TO_XYZ
@@ -98,16 +100,29 @@ def _merged(several: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True)
 class MeanColour:
-    """Mean colour of the lit body by one route, with its standard error.
+    """Mean colour of the lit body by one route, from its mean spectrum.
 
     Attributes
     ----------
-    rgb, rgb_se
-        (3,) linear sRGB as the picture shows it, exposure included.
+    spectrum, covariance
+        (W,) mean spectrum on all the picture's wavelengths, and its (W, W) covariance.
+    weights
+        (3, W) from it to linear sRGB as the picture shows it, exposure included.
     """
 
-    rgb: FloatArray
-    rgb_se: FloatArray
+    spectrum: FloatArray
+    covariance: FloatArray
+    weights: FloatArray
+
+    @property
+    def rgb(self) -> FloatArray:
+        """(3,) linear sRGB."""
+        return np.asarray(self.weights @ self.spectrum)
+
+    @property
+    def rgb_se(self) -> FloatArray:
+        """(3,) standard errors."""
+        return np.asarray(np.sqrt(np.diag(self.weights @ self.covariance @ self.weights.T)))
 
     @property
     def lab(self) -> FloatArray:
@@ -115,22 +130,36 @@ class MeanColour:
         return lab(self.rgb)
 
     def uncertain(self, what: str) -> tuple[float, float]:
-        """A coordinate (L, a, b, chroma, hue in degrees) and its standard error.
+        """A coordinate (L, a, b, chroma, hue in degrees) and its standard error."""
 
-        The channels share paths, so their errors may go together in any way: Σ |∂/∂c| σ_c bounds every one.
-        """
-        steps = np.maximum(1e-3 * np.abs(self.rgb), 1e-9)
-        value = coordinate(self.lab, what)
-        slopes = []
-        for k in range(3):
-            up, down = self.rgb.copy(), self.rgb.copy()
-            up[k] += steps[k]
-            down[k] -= steps[k]
-            change = coordinate(lab(up), what) - coordinate(lab(down), what)
-            if what == "hue":
-                change = (change + 180.0) % 360.0 - 180.0
-            slopes.append(change / (2 * steps[k]))
-        return value, float(np.abs(slopes) @ self.rgb_se)
+        def found(spectrum: FloatArray) -> float:
+            return coordinate(lab(self.weights @ spectrum), what)
+
+        return found(self.spectrum), propagated(found, self.spectrum, self.covariance, turn=what == "hue")
+
+
+def propagated(
+    function: Callable[[FloatArray], float], at: FloatArray, covariance: FloatArray, *, turn: bool = False
+) -> float:
+    """Standard error √(gᵀ C g) of a function of correlated numbers, g by central differences (JCGM 100:2008, 5.2).
+
+    Parameters
+    ----------
+    turn
+        Whether the function is an angle in degrees.
+
+    Examples
+    --------
+    >>> round(propagated(lambda x: x[0] - x[1], np.zeros(2), np.array([[2.0, 1.0], [1.0, 2.0]])), 6)
+    1.414214
+    """
+    slope = np.zeros(len(at))
+    for k, step in enumerate(np.maximum(0.1 * np.sqrt(np.diag(covariance)), 1e-6 * np.abs(at) + 1e-12)):
+        move = np.zeros(len(at))
+        move[k] = step
+        change = function(at + move) - function(at - move)
+        slope[k] = ((change + 180.0) % 360.0 - 180.0 if turn else change) / (2.0 * step)
+    return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
 
 
 def lab(rgb: FloatArray) -> FloatArray:
@@ -153,28 +182,9 @@ def coordinate(found: FloatArray, what: str) -> float:
     return float(np.degrees(np.arctan2(found[2], found[1])) % 360.0)
 
 
-def mean_colour(
-    radiance: FloatArray,
-    radiance_se: FloatArray,
-    lit: np.ndarray[Any, np.dtype[np.bool_]],
-    route: ColourRoute,
-    exposure: float,
-) -> MeanColour:
-    """Mean colour of the lit body.
-
-    Parameters
-    ----------
-    radiance, radiance_se
-        (row, column, W) the picture and its standard error.
-    lit
-        (row, column) which pixels are of the lit body.
-    route, exposure
-        How colour is made.
-    """
-    used = list(route.indices)
-    pixels = radiance[lit][:, used].astype(np.float64)
-    errors = radiance_se[lit][:, used].astype(np.float64)
-    mean = pixels.mean(axis=0)
-    mean_se = np.sqrt((errors**2).sum(axis=0)) / len(pixels)
-    weights = exposure * route.matrix
-    return MeanColour(weights @ mean, np.abs(weights) @ mean_se)
+def mean_colour(film: Film, route: ColourRoute, exposure: float) -> MeanColour:
+    """Mean colour of the lit body as a picture shows it."""
+    spectrum, covariance = film.mean_spectrum()
+    weights = np.zeros((3, len(spectrum)))
+    weights[:, list(route.indices)] = exposure * route.matrix
+    return MeanColour(spectrum, covariance, weights)

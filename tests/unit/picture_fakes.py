@@ -81,6 +81,7 @@ class BallCamera:
             sample = mean * rng.exponential(size=(*mean.shape[:2], 1))
             film.total += sample
             film.square += sample**2
+            film.spectra.append(sample[self.lit].mean(axis=0))
         film.batches += spp
         film.passes += 1
         film.seconds += time.perf_counter() - started

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 from picture_fakes import small
 
+from livlab.acquire.camera_film import Film
 from livlab.config_picture import Colour, Illuminant, Observer
 from livlab.errors import RangeError
 from livlab.model.colour import ILLUMINANTS, OBSERVERS, channel_wavelengths, thesis_rgb
@@ -61,31 +62,38 @@ def test_cielab_is_that_of_colour_science() -> None:
     assert np.allclose(lab(rgb), known, atol=1e-2)
 
 
-def test_mean_colour_and_its_error_cover_repeated_pictures() -> None:
-    """Over 200 pictures with independent noise the stated error of L*, a*, b* and hue is at least the scatter seen."""
+def film_of(samples: np.ndarray, grid: np.ndarray) -> Film:  # type: ignore[type-arg]
+    """A film whose batches saw these mean spectra (batch, W)."""
+    film = Film.empty(1, 1, grid)
+    film.spectra, film.batches = list(samples), len(samples)
+    return film
+
+
+def test_the_error_of_a_mean_colour_is_the_scatter_over_pictures() -> None:
+    """Over 300 pictures whose wavelengths share their noise the stated errors are the scatter seen, to a tenth."""
     grid, routes = colour_routes(Colour(kappa_nm=20.0, count=2), seed=1)
-    route, rng = routes["thesis"], np.random.default_rng(5)
-    truth = np.where(grid > 600, 0.12, 0.03) * np.ones((6, 7, 1))
-    lit = np.ones((6, 7), dtype=bool)
-    lit[0] = False
+    rng = np.random.default_rng(5)
+    truth = np.where(grid > 600, 0.12, 0.03)
+    mixing = 0.2 * np.diag(truth) @ (0.7 * np.ones((len(grid), len(grid))) + 0.3 * np.eye(len(grid)))
+    which = ("L", "a", "b", "chroma", "hue")
     found, stated = [], []
-    for _ in range(200):
-        error = 0.2 * truth
-        seen = mean_colour(truth + error * rng.normal(size=truth.shape), error, lit, route, 1.5)
-        found.append([seen.uncertain(w)[0] for w in ("L", "a", "b", "hue")])
-        stated.append([seen.uncertain(w)[1] for w in ("L", "a", "b", "hue")])
-    scatter, mean_stated = np.std(found, axis=0), np.mean(stated, axis=0)
-    assert np.all(mean_stated > 0.9 * scatter)
-    assert np.all(mean_stated < 6 * scatter)  # a bound on any dependence, yet no more than √(channels × wavelengths)
-    exact = mean_colour(truth, 0 * truth, lit, route, 1.5)
-    assert np.allclose(np.mean(found, axis=0)[0], exact.uncertain("L")[0], atol=5 * scatter[0] / np.sqrt(200))
+    for _ in range(300):
+        film = film_of(truth + rng.normal(size=(40, len(grid))) @ mixing.T, grid)
+        seen = mean_colour(film, routes["thesis"], 1.5)
+        pairs = [seen.uncertain(w) for w in which]
+        found.append([p[0] for p in pairs])
+        stated.append([p[1] for p in pairs])
+    scatter = np.std(found, axis=0, ddof=1)  # itself known to 1/√600 = 4 %
+    assert np.allclose(np.mean(stated, axis=0), scatter, rtol=0.15)
+    exact = coordinate(lab(1.5 * routes["thesis"].matrix @ truth), "L")
+    assert np.mean(found, axis=0)[0] == pytest.approx(exact, abs=5 * scatter[0] / np.sqrt(300) + 0.02)
 
 
 def test_hue_goes_round_without_a_jump() -> None:
-    pink = MeanColour(np.array([0.5, 0.2, 0.26]), np.full(3, 1e-3))
-    value, error = pink.uncertain("hue")
-    assert 0 <= value < 360
-    assert error < 5
+    pink = MeanColour(np.array([0.5, 0.2, 0.273]), np.diag([0.0, 0.0, 0.02]) ** 2, np.eye(3))
+    value, error = pink.uncertain("hue")  # the steps of the slope lie on both sides of 0 = 360
+    assert min(value, 360 - value) < 0.1
+    assert error == pytest.approx(0.02 * (0.8121 - (359.2145 - 360)) / (0.276 - 0.270), rel=0.02)
     assert coordinate(np.array([50.0, 10.0, -0.1]), "hue") > 359
 
 
@@ -118,7 +126,7 @@ within = [0, 0.02]
 
 
 def seen(rgb: tuple[float, float, float], error: float = 1e-4, relative: float = 0.01) -> Seen:
-    return Seen({"thesis": MeanColour(np.array(rgb), np.full(3, error))}, relative, 3.0, 0.5)
+    return Seen({"thesis": MeanColour(np.array(rgb), error**2 * np.eye(3), np.eye(3))}, relative, 3.0, 0.5)
 
 
 def test_claims_are_judged_by_their_bounds() -> None:
