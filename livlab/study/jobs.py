@@ -12,11 +12,9 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol
 
 from livlab.errors import InputError, Interrupted
-from livlab.files import write_whole
 
 ANSWER_VERSION = 1
 """Raised whenever the same job would give other numbers than before; it is part of the digest."""
@@ -53,7 +51,7 @@ class Job:
 
 
 class Store(Protocol):
-    """Where answers are kept by digest, whole or not at all."""
+    """Where answers are kept by digest, whole or not at all: `livlab.study.store.Store` in files."""
 
     def load(self, digest: str) -> Answer | None:
         """The answer, or None if there is none that is sound."""
@@ -91,39 +89,6 @@ class MemoryStore:
     def save(self, digest: str, answer: Answer) -> None:
         """Keep an answer."""
         self.answers[digest] = answer
-
-
-class FolderStore:
-    """Answers as files, each with its own hash: a damaged one is as good as none."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.damaged = 0
-
-    def load(self, digest: str) -> Answer | None:
-        """The answer, or None; a damaged file is put away and counted."""
-        path = self._path(digest)
-        try:
-            held = json.loads(path.read_text(encoding="utf-8"))
-            if held["sha256"] != _hash(held["answer"]) or held["digest"] != digest:
-                raise ValueError("its hash differs")
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, TypeError):
-            self.damaged += 1
-            path.unlink(missing_ok=True)
-            return None
-        answer: Answer = held["answer"]
-        return answer
-
-    def save(self, digest: str, answer: Answer) -> None:
-        """Keep an answer."""
-        path = self._path(digest)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps({"digest": digest, "sha256": _hash(answer), "answer": answer}))
-
-    def _path(self, digest: str) -> Path:
-        return self.folder / digest[:2] / f"{digest}.json"
 
 
 def run_job(job: Job) -> Answer:
@@ -196,7 +161,3 @@ def run_jobs(
         if close is not None:
             close()
     return [found[job.digest] for job in jobs]
-
-
-def _hash(answer: Answer) -> str:
-    return hashlib.sha256(json.dumps(answer, sort_keys=True).encode()).hexdigest()
