@@ -251,7 +251,7 @@ class _Loader:
         picture = self._sized(name, size)
         value, _, clipped = development.linear(picture, float(picture.exposure.value or 1.0))
         if clipped.any():
-            self.notes.append(f"{picture.name} is clipped: right for a mask, but in a photograph it moves the outline.")
+            self.notes.append(f"{name} is clipped: right for a mask, but in a photograph it moves the outline.")
         return value
 
     def _sphere(

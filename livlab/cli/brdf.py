@@ -244,8 +244,9 @@ def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) ->
     table.add_column("value")
     samples = found.samples
     lights = samples.sizes["light_index"]
+    thinned = f", one pixel in {found.stride} x {found.stride}" if found.stride > 1 else ""
     near = sum(light.near for light in rig.lights)
-    table.add_row("samples", f"{samples.sizes['sample']} of {lights} lights, every {found.stride}. row and column")
+    table.add_row("samples", f"{samples.sizes['sample']} of {lights} lights{thinned}")
     table.add_row("scale", str(samples.attrs["scale"]))
     if rig.pose is not None:
         (u, v, r), sd = rig.pose.circle_px, rig.pose.circle_sd_px
