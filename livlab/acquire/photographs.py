@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from xarray.core import indexing
 
 from livlab.acquire.calibration import CameraCalibration
 from livlab.acquire.calibration_chart import ColourCalibration
-from livlab.acquire.lights import Highlight
+from livlab.acquire.lights import Highlight, lambert_intensities
 from livlab.acquire.linearity import Linearity, from_matte_sphere
 from livlab.acquire.outline import FloatArray
 from livlab.acquire.photographs_merge import Merged
@@ -201,6 +201,36 @@ class PhotographedRig:
         if self.mask is not None:
             keep &= self.mask[rows, columns]
         return rows[keep], columns[keep]
+
+
+def with_matte_intensities(rig: PhotographedRig, *, pixels: int = 20_000) -> PhotographedRig:
+    """The same rig with the lights' relative intensities at which the sphere best follows a cosine.
+
+    What the BRDF itself makes of the lights' places is thereby taken out in the mean: only for a matte sphere.
+
+    Raises
+    ------
+    InputError
+        A light that lights no pixel that is in view.
+    """
+    rows, columns = rig.inside(pixels)
+    hits = rig.sphere.meet(*rig.camera.rays(columns, rows))
+    values, cosines = [], []
+    for k, light in enumerate(rig.lights):
+        values.append(rig.frames[k].value[rows, columns])
+        towards, scale = light.at(hits.points_mm)
+        cosines.append(np.einsum("ni,ni->n", towards, hits.normals) * scale / light.at(rig.sphere.centre_mm)[1])
+    found, error = lambert_intensities(np.array(values, dtype=np.float64), np.array(cosines))
+    if not np.all(np.isfinite(found) & (found > 0)):
+        dark = int(np.flatnonzero(~np.all(np.isfinite(found) & (found > 0), axis=1))[0])
+        raise InputError.of(f"lights[{dark}]", "no light on the sphere", "must light it", "Give its intensity.")
+    centre = [light.at(rig.sphere.centre_mm)[1] for light in rig.lights]
+    lights = tuple(
+        replace(light, intensity=one / float(scale))
+        for light, one, scale in zip(rig.lights, found, centre, strict=True)
+    )
+    told = f"Light intensities were taken from the sphere, as if it were matte: +- {float((error / found).max()):.1%}."
+    return replace(rig, lights=lights, notes=(*rig.notes, told))
 
 
 def open_rig(path: Path) -> PhotographedRig:

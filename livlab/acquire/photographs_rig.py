@@ -14,7 +14,7 @@ from livlab.acquire.calibration_chart import ColourCalibration, calibrate_colour
 from livlab.acquire.lights import Highlight, distant_direction, mirror_highlight, near_position
 from livlab.acquire.linearity import Linearity, Response, debevec, from_exposures, response
 from livlab.acquire.outline import FloatArray
-from livlab.acquire.photographs import Frames, PhotographedRig
+from livlab.acquire.photographs import Frames, PhotographedRig, with_matte_intensities
 from livlab.acquire.photographs_folder import TO_CAMERA, channel_names, tilt_covariance
 from livlab.acquire.photographs_merge import Development, Merged, estimate_noise, flat_field, merge
 from livlab.acquire.photographs_read import Photograph, read_photograph
@@ -42,7 +42,9 @@ def load_rig(path: Path) -> PhotographedRig:
     InputError
         What the rig file, the pictures and the calibrations refuse, each named.
     """
-    return _Loader(read_rig_file(path), path.resolve().parent).load()
+    table = read_rig_file(path)
+    rig = _Loader(table, path.resolve().parent).load()
+    return with_matte_intensities(rig) if table.intensities_are == "from the sphere" else rig
 
 
 @dataclass

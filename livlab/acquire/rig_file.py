@@ -191,6 +191,9 @@ class RigFile(_Table):
     )
     channels: Literal["as stored", "grey"] = Field("as stored", description="Keep colours, or their mean.")
     lights_are: Literal["distant", "near"] = Field("distant", description="What mirror balls are to give.")
+    intensities_are: Literal["as given", "from the sphere"] = Field(
+        "as given", description="From the sphere: those at which it best follows a cosine, if it is matte."
+    )
     camera: CameraTable
     sphere: SphereTable = Field(default_factory=SphereTable)
     response: ResponseTable = Field(default_factory=ResponseTable)

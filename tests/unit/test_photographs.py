@@ -243,6 +243,20 @@ def test_without_a_white_reference_the_scale_is_free_and_said(shot):
     assert any("white reference" in u for u in found.unresolved)
 
 
+def test_intensities_from_the_sphere(shot):
+    true = np.array([1.0, 1.6, 0.7, 1.2, 0.9])
+    shot.images = shot.images * true[:, None, None]
+    table = {"exposure": 1.2, "white": False}
+    wrong = run(shot.write(Faults(exposure=1.2, bits=16), **table)).samples["value"].values
+    rig = open_rig(shot.write(Faults(exposure=1.2, bits=16), extra='intensities_are = "from the sphere"', **table))
+    found = np.array([light.intensity[0] for light in rig.lights])
+    np.testing.assert_allclose(found, true / true.mean(), rtol=2e-3)
+    right = extract_samples(rig).samples["value"].values
+    assert np.std(wrong) / np.mean(wrong) > 0.2
+    assert np.std(right) / np.mean(right) < 0.002
+    assert any("from the sphere" in note for note in rig.notes)
+
+
 def test_pictures_are_thinned_to_what_is_asked_for(shot):
     path = shot.write(Faults(exposure=2.0, bits=16), exposure=2.0)
     whole = run(path).samples.sizes["sample"]
