@@ -113,8 +113,10 @@ class Factor(Section):
         if self.values is not None:
             return self.values[min(int(share * len(self.values) + 1e-9), len(self.values) - 1)]
         assert self.low is not None and self.high is not None
+        if share in (0.0, 1.0):
+            return self.high if share else self.low
         if self.transform == "log":
-            return float(round(math.exp(math.log(self.low) + share * math.log(self.high / self.low)), 12))
+            return self.low * (self.high / self.low) ** share
         return self.low + share * (self.high - self.low)
 
     def grid(self) -> tuple[Any, ...]:

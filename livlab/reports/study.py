@@ -76,7 +76,7 @@ def _varied(factors: pd.DataFrame) -> object:
                 factors["values"], factors["low"], factors["high"], factors["transform"], strict=True
             )
         ],
-        unit=factors["unit"].fillna(""),
+        unit=["" if pd.isna(u) else str(u) for u in factors["unit"]],
     )
     return from_frame(shown, "What varies.", only=["factor", "range", "unit", "path"])
 

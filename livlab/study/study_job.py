@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from livlab.config_errors import nearest
 from livlab.config_study import StudyExperiment
 from livlab.criteria import Claim
 from livlab.errors import InputError, Interrupted
@@ -48,7 +49,9 @@ def prepare(config: StudyExperiment) -> Callable[[Run], None]:
         labels = [c.label for c in cases]
         for k, c in enumerate(config.criterion):
             if c.of not in labels:
-                raise InputError.of(f"criterion[{k}].of", c.of, "names no case", f"Known: {', '.join(labels)}.")
+                more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
+                hint = nearest(str(c.of), labels) or f"Known: {'; '.join(labels[:6])}{more}."
+                raise InputError.of(f"criterion[{k}].of", c.of, "names no case", hint)
         return lambda run: _ablation(run, config, cases, outputs, hashes)
     if config.method == "sensitivity":
         assert config.sensitivity is not None
