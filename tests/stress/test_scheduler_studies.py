@@ -77,8 +77,9 @@ def numbers(runs):
         return [{k: v for k, v in row.items() if "seconds" not in k} for row in csv.DictReader(stream)]
 
 
-def kept(runs):
-    return {path.stem: path.stat().st_mtime_ns for path in runs.rglob(".pieces/jobs/*/*.json")}
+def results(folder):
+    """Time of each result; what a killed process was just writing has a name that begins with a dot."""
+    return {path.stem: path.stat().st_mtime_ns for path in folder.rglob("[0-9a-f]*.json") if len(path.stem) == 64}
 
 
 @pytest.mark.slow
@@ -87,31 +88,32 @@ def test_kill_9_of_the_client_and_all_it_started(libllvm, tmp_path):
     finished(livlab(tmp_path, "--out", str(here)))
     first = livlab(tmp_path, "--out", str(there), "--store", str(shared), "--scheduler", "processes:2")
     limit = time.monotonic() + 200
-    while len(kept(there)) < 3:
+    while len(results(there)) < 3:
         assert first.poll() is None and time.monotonic() < limit
         time.sleep(0.02)
     children = psutil.Process(first.pid).children(recursive=True)
     first.kill()
     first.communicate()
-    done = kept(there)
+    done = results(there)
     assert 3 <= len(done) < POINTS
     _, left = psutil.wait_procs(children, timeout=30)
     assert [p for p in left if p.status() != psutil.STATUS_ZOMBIE] == []  # nobody goes on alone
-    renewed = {path.stem: path.stat().st_mtime_ns for path in shared.rglob("*.json")}
-    assert renewed.keys() == done.keys()
+    renewed = results(shared)
+    assert len(done.keys() - renewed.keys()) <= 1  # the kill may fall between the two folders
+    assert renewed.keys() <= done.keys()
     finished(livlab(tmp_path, "--out", str(there), "--store", str(shared), "--scheduler", "processes:3"))
-    after = {path.stem: path.stat().st_mtime_ns for path in shared.rglob("*.json")}
+    after = results(shared)
     assert {stem: after[stem] for stem in renewed} == renewed  # what was kept was not done again
-    assert len(list(shared.rglob("*.json"))) == POINTS
+    assert renewed.keys() <= after.keys() and len(after.keys() | done.keys()) == POINTS
     assert numbers(there) == numbers(here)
-    assert not kept(there)  # pieces are dropped when all is done
+    assert not results(there)  # pieces are dropped when all is done
 
 
 @pytest.mark.slow
 def test_ctrl_c_of_the_whole_terminal_keeps_what_is_done(libllvm, tmp_path):
     study = livlab(tmp_path, "--out", str(tmp_path / "runs"), "--scheduler", "processes:2")
     limit = time.monotonic() + 200
-    while len(kept(tmp_path / "runs")) < 2:
+    while len(results(tmp_path / "runs")) < 2:
         assert study.poll() is None and time.monotonic() < limit
         time.sleep(0.02)
     children = psutil.Process(study.pid).children(recursive=True)
@@ -121,7 +123,7 @@ def test_ctrl_c_of_the_whole_terminal_keeps_what_is_done(libllvm, tmp_path):
     assert "--scheduler processes:2" in said and "Traceback" not in said and "lost" not in said
     _, left = psutil.wait_procs(children, timeout=30)
     assert left == []
-    done = kept(tmp_path / "runs")
+    done = results(tmp_path / "runs")
     assert 3 <= len(done) < POINTS
     assert "Traceback" not in finished(livlab(tmp_path, "--out", str(tmp_path / "runs")))
     assert len(numbers(tmp_path / "runs")) == POINTS
@@ -147,7 +149,7 @@ def test_two_workers_killed_in_a_real_study(libllvm, tmp_path):
     study = livlab(tmp_path, "--out", str(there), "--scheduler", "processes:2")
     for wanted in (2, 5):
         limit = time.monotonic() + 200
-        while len(kept(there)) < wanted:
+        while len(results(there)) < wanted:
             assert study.poll() is None and time.monotonic() < limit
             time.sleep(0.02)
         workers = [p for p in psutil.Process(study.pid).children() if "spawn_main" in " ".join(p.cmdline())]
