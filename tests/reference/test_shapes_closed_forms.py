@@ -73,10 +73,10 @@ def test_the_field_is_a_lower_bound_far_away_and_not_a_useless_one(ball):
 def test_a_capsule_a_tenth_of_a_millimetre_deep_is_right_to_a_micrometre_on_a_smooth_organ():
     """Curvature of a liver's dome: radius 50 mm; facets and grid as a liver has them by default."""
     whole = sphere(50.0, resolution_mm=0.75)
-    mesh = section(whole, planes=Plane((0, 0, 42.0), (0, 0, -1))).outer
+    mesh = section(whole, planes=Plane((0, 0, 46.0), (0, 0, -1))).outer
     field = distance_field(mesh, 0.5, cached=False)
-    cap = mesh.faces[(mesh.vertices[mesh.faces].mean(axis=1)[:, 2] > 45.0)]
-    assert len(cap) > 5000
+    cap = mesh.faces[(mesh.vertices[mesh.faces].mean(axis=1)[:, 2] > 47.6)]
+    assert len(cap) > 2000
     draw = np.random.default_rng(1)
     corners = mesh.vertices[cap[draw.integers(len(cap), size=4000)]]
     points = np.einsum("fk,fkd->fd", draw.dirichlet([1.0, 1.0, 1.0], size=4000), corners)
@@ -126,6 +126,7 @@ def test_the_livers_visceral_side_is_hollow(organ):
     assert 1.1 < hull.volume / organ.volume < 1.6
 
 
+@pytest.mark.slow
 def test_the_livers_margin_is_thin_and_nowhere_thinner_than_about_two_millimetres():
     """What a ball cannot reach from inside: of radius 1 mm at most a third of a millimetre, of 2.5 mm the margin.
 
@@ -135,7 +136,7 @@ def test_the_livers_margin_is_thin_and_nowhere_thinner_than_about_two_millimetre
     from skimage.measure import marching_cubes
 
     organ = liver(resolution_mm=1.0, cached=False)
-    field = distance_field(organ, 0.5, band_mm=3.0, cached=False)
+    field = distance_field(organ, 0.5, band_mm=3.2, cached=False)
     beyond = []
     for radius in (1.0, 2.5):
         found = marching_cubes(field.values, radius, spacing=(0.5,) * 3)

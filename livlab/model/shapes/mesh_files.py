@@ -175,8 +175,8 @@ def _ply_faces(stream: BinaryIO, head: bytes, name: str) -> int:
     counts = {word[1]: word[2] for word in words if len(word) == 3 and word[0] == "element"}
     if end < 0 or not counts.get("vertex", "").isdigit() or not counts.get("face", "").isdigit():
         raise InputError.of("mesh file", name, "has no PLY header with vertices and faces", _EXPORT_AGAIN)
-    if int(counts["vertex"]) > 3 * MAX_FACES:
-        refuse_too_many(int(counts["vertex"]))
+    if int(counts["vertex"]) > 3 * max(int(counts["face"]), MAX_FACES):
+        raise InputError.of("vertices", int(counts["vertex"]), "are more than the faces can use", _EXPORT_AGAIN)
     return int(counts["face"])
 
 

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from livlab.errors import InputError
 from livlab.model.shapes.mesh import FloatArray, TriangleMesh
 
-
 _SLIVER = 1e-7  # of the extent: what rounding leaves along a cut
 
 

@@ -74,7 +74,8 @@ def inset(mesh: TriangleMesh, thickness_mm: float, how: How = "distance", *, spa
         centre of its volume (Nunes 2019, sect. 6.5), by 1 - t A / (3 V), which makes the shell's mean thickness t
         because the mean of (x - c) · n over a closed surface is 3 V / A; elsewhere it is thicker or thinner.
     spacing_mm
-        Of the distance field: a 280th of the largest extent, and no less than a twelfth of the thickness, unless said.
+        Of the distance field: unless said a third of the thickness, between a 280th and a 100th of the largest
+        extent.
 
     Raises
     ------
@@ -155,7 +156,10 @@ def _by_distance(mesh: TriangleMesh, thickness: float, spacing: float | None) ->
 
     from livlab.model.shapes import exact
 
-    step = max(float(mesh.extent.max()) / 280, thickness / 12) if spacing is None else spacing
+    if thickness >= float(mesh.extent.min()) / 2:
+        _refuse_thick(mesh, thickness)
+    size = float(mesh.extent.max())
+    step = max(size / 280, min(thickness / 3, size / 100)) if spacing is None else spacing
     field = distance_field(mesh, step, band_mm=max(3 * step, thickness + 2 * step))
     if not float(field.values.max()) > thickness:
         _refuse_thick(mesh, thickness)

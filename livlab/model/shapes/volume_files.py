@@ -140,7 +140,9 @@ def _nifti(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
         shape = tuple(int(n) for n in image.shape)
         _refuse_large(shape)
         unit = image.header.get_xyzt_units()[0] if hasattr(image.header, "get_xyzt_units") else "unknown"
-        zooms = np.asarray(image.header.get_zooms()[:3], dtype=np.float64)
+        with nibabel.openers.ImageOpener(str(file)) as stream:  # a loaded header has been mended in silence
+            written = type(image.header).from_fileobj(stream, check=False)
+        zooms = np.asarray(written["pixdim"][1:4] if "pixdim" in written else written.get_zooms()[:3], dtype=np.float64)
         affine = np.asarray(image.affine, dtype=np.float64)
         values = np.asanyarray(image.dataobj)
     except InputError:
