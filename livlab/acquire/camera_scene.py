@@ -88,7 +88,7 @@ def nested_stack(stack: OpticalStack) -> OpticalStack:
     thin = [x.name for x in stack.layers if x.thickness_mm < stack.layers[-1].thickness_mm / 10.0]
     if math.isinf(stack.layers[-1].thickness_mm):
         thin = [x.name for x in stack.layers[:-1]]
-    whole = {x.name for x in stack.layers} if not thin else set(thin)
+    whole = frozenset(x.name for x in stack.layers) if not thin else frozenset(thin)
     return merged(stack, whole, "capsule")
 
 

@@ -39,7 +39,7 @@ def rays(camera: Camera, points: ArrayLike) -> FloatArray:
         scale, middle = _lift(camera)
         xy = (uv - middle) / scale
         square = np.sum(xy**2, axis=1)
-        return np.column_stack([2 * xy, 1 - square]) / (1 + square)[:, None]
+        return np.asarray(np.column_stack([2 * xy, 1 - square]) / (1 + square)[:, None], dtype=np.float64)
     _, towards = camera.rays(uv[:, 0], uv[:, 1])
     return np.asarray(towards @ camera.rotation.T)
 
@@ -130,7 +130,7 @@ def fit_cone(points: ArrayLike, camera: Camera, *, tolerance_px: float = 1.0, se
         spread = max(1.4826 * float(np.median(np.abs(residual[near]))) if near.any() else spread, 1e-6)
         weight = np.clip(1 - (residual / (4.685 * max(spread, 0.02))) ** 2, 0, None) ** 2
         w = np.sqrt(weight) * px_per_rad
-        q, *_ = np.linalg.lstsq(d * w[:, None], w, rcond=None)
+        q = np.asarray(np.linalg.lstsq(d * w[:, None], w, rcond=None)[0], dtype=np.float64)
         before = (axis, beta)
         axis, beta = _axis_angle(q)
         if np.abs(axis - before[0]).max() + abs(beta - before[1]) < 1e-12:
@@ -142,7 +142,7 @@ def fit_cone(points: ArrayLike, camera: Camera, *, tolerance_px: float = 1.0, se
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     jacobian = -px_per_rad[used_here, None] * np.column_stack([across @ e1, across @ e2, np.ones(len(across))])
     variance = rms**2 * _correlation_length(residual[used_here]) * len(across) / max(len(across) - 3, 1)
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+    covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
     used = np.zeros(len(uv), dtype=bool)
     used[np.flatnonzero(finite)[used_here]] = True
     return Cone(axis, beta, covariance, rms, used)

@@ -230,7 +230,7 @@ def _points(ax: Axes, factor: xr.DataArray, y: Any, k: int) -> None:
 
 
 def _numbered(result: xr.Dataset, what: str) -> list[xr.DataArray]:
-    found = []
+    found: list[xr.DataArray] = []
     while f"{what}_{len(found)}" in result:
         found.append(result[f"{what}_{len(found)}"])
     return found

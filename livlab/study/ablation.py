@@ -80,7 +80,8 @@ def cases(config: StudyExperiment) -> list[Case]:
 
 
 def _path(start: Reading, end: Reading, numbers: Mapping[str, Any]) -> list[Case]:
-    made, at, before = [], start, start.name
+    made: list[Case] = []
+    at, before = start, start.name
     for option in numbers:
         choice = getattr(end, option)
         if choice == getattr(at, option):

@@ -159,7 +159,8 @@ def propagated(
         move[k] = step
         change = function(at + move) - function(at - move)
         slope[k] = ((change + 180.0) % 360.0 - 180.0 if turn else change) / (2.0 * step)
-    return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+    spread = float(slope @ covariance @ slope)
+    return float(np.sqrt(max(spread, 0.0)))
 
 
 def lab(rgb: FloatArray) -> FloatArray:

@@ -156,7 +156,7 @@ def matt(mi: Any, reflectance: Sequence[float]) -> dict[str, Any]:
 
 def metal(mi: Any, reflectance: Sequence[float], roughness: float) -> dict[str, Any]:
     """A mirror times a factor; with a roughness a Beckmann distribution of mirrors."""
-    plain = {"type": "conductor", "material": "none", "specular_reflectance": _three(mi, reflectance)}
+    plain: dict[str, Any] = {"type": "conductor", "material": "none", "specular_reflectance": _three(mi, reflectance)}
     if roughness > 0:
         plain |= {"type": "roughconductor", "distribution": "beckmann", "alpha": float(roughness)}
     return {"type": "twosided", "bsdf": plain}
