@@ -1,5 +1,7 @@
 """Models fitted to samples from rendered spheres against the parameters that were rendered."""
 
+from dataclasses import replace
+
 import pytest
 
 from livlab.acquire.pose import sphere_pose
@@ -38,15 +40,16 @@ def principled(roughness):
     return bsdf, {"which": "principled"}, {"alpha": roughness**2, "ks": 1.0, "kd": colour}
 
 
-def worst(rig, case, pose, skip=()):
+def worst(rig, case, pose):
     """Largest relative error of the fitted parameters, by name."""
     bsdf, asked, true = case
+    if true["alpha"] < 0.05:  # 3.4 px wide: 16 rays a pixel leave .2 % of alpha, 64 leave .06 %
+        rig = replace(rig, samples_per_pixel=64)
     pictures = photograph(rig, bsdf, seed=5)
     sphere = pictures.sphere
     if pose == "outline":
         frame = pictures.outline.to_numpy()
-        depth = sphere.radius_mm * 10 if rig.camera.orthographic else None
-        sphere = sphere_pose(frame, pictures.camera, sphere.radius_mm, kind="silhouette", depth_mm=depth).sphere
+        sphere = sphere_pose(frame, pictures.camera, sphere.radius_mm, kind="silhouette").sphere
     samples = extract(pictures.images, pictures.camera, pictures.lights, sphere, empty_lights="skip")
     options = {k: v for k, v in asked.items() if k != "which"}
     found = fit(samples, asked["which"], starts=2, bootstrap=None, warn=False, **options).values
@@ -58,7 +61,7 @@ def worst(rig, case, pose, skip=()):
         known = true[base]
         known = known["RGB".index(channel[0])] if isinstance(known, list) else known
         errors[base] = max(errors.get(base, 0.0), abs(value / known - 1))
-    assert set(errors) == set(true) - set(skip)
+    assert set(errors) == set(true)
     return errors
 
 
@@ -71,8 +74,10 @@ def test_the_bar(pose, alpha, ks):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pose", ["known", "outline"])
-@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
+@pytest.mark.parametrize(
+    ("rig", "pose"),
+    [(rig, pose) for rig in RIGS for pose in ("known", "outline") if pose == "known" or "orthographic" not in rig],
+)
 @pytest.mark.parametrize(
     "case",
     [conductor(0.03), conductor(0.1), conductor(0.6), plastic(0.03), plastic(0.3), principled(0.25), principled(0.7)],
@@ -87,7 +92,7 @@ def test_the_bar(pose, alpha, ks):
     ],
 )
 def test_materials_lights_and_cameras(case, rig, pose):
-    errors = worst(rig, case, pose)
+    errors = worst(RIGS[rig], case, pose)
     bar = 0.002 if pose == "known" else 0.01
     print({name: f"{100 * x:.4f} %" for name, x in errors.items()})
     assert errors["alpha"] <= bar
