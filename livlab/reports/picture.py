@@ -11,7 +11,7 @@ import pandas as pd
 from livlab.reports import picture_figures as drawn
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData
-from livlab.reports.picture_words import alt_text, caption, findings, light_words
+from livlab.reports.picture_words import alt_text, caption, findings, light_words, own_name
 from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
 
 
@@ -107,7 +107,7 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     section.content.append(
         pictures.add(
             "colours",
-            drawn.colours(table),
+            drawn.colours(table, own_name(run)),
             "Mean colour of the lit body: patches as a screen shows them, and where they lie in CIELAB. Bars: ±2 "
             "standard errors, where they are wider than the marks.",
         )
@@ -115,7 +115,7 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     several = table["tissue"].notna().any()
     frame = pd.DataFrame(
         {
-            **({"tissue": drawn.tissues(table, "own")} if several else {}),
+            **({"tissue": drawn.tissues(table, own_name(run))} if several else {}),
             "reading": table["reading"],
             "route": table["route"],
             "sRGB": table["sRGB"],
@@ -129,7 +129,7 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     if len(differences):
         section.content.append(
             from_frame(
-                differences.assign(tissue=drawn.tissues(differences, "own"))
+                differences.assign(tissue=drawn.tissues(differences, own_name(run)))
                 if several
                 else differences.drop(columns="tissue"),
                 "CIEDE2000 between the colour routes: of the mean colour, and over the lit body's pixels (noise "
@@ -162,7 +162,7 @@ def _absorption(run: RunData, pictures: Pictures) -> Section:
         section.content.append(
             pictures.add(
                 "absorption",
-                drawn.absorption(table),
+                drawn.absorption(table, own_name(run)),
                 "Absorption coefficient of the parenchyma, all of its elements together (Nunes 2019, Fig. 7.9). "
                 "Vertical lines: the thesis's red, green and blue.",
             )
@@ -172,7 +172,9 @@ def _absorption(run: RunData, pictures: Pictures) -> Section:
         several = optics["tissue"].notna().any()
         section.content.append(
             from_frame(
-                optics.assign(tissue=drawn.tissues(optics, "own")) if several else optics.drop(columns="tissue"),
+                optics.assign(tissue=drawn.tissues(optics, own_name(run)))
+                if several
+                else optics.drop(columns="tissue"),
                 "What colour comes from: the parenchyma at the channels' middles. The reduced albedo is "
                 "µs'/(µa + µs'); a redirection keeps only the share shown of the light.",
                 titles={
@@ -194,7 +196,7 @@ def _error(run: RunData, pictures: Pictures) -> Section:
         section.content.append(
             pictures.add(
                 "convergence",
-                drawn.convergence(table),
+                drawn.convergence(table, own_name(run)),
                 "A pixel's relative standard error (mean over the wavelengths, median over the lit body) while the "
                 "picture was taken; dashed: slope −1/2, as a Monte Carlo error falls.",
             )
@@ -204,7 +206,8 @@ def _error(run: RunData, pictures: Pictures) -> Section:
     if len(made):
         several = made["tissue"].notna().any()
         shown = made.assign(
-            tissue=drawn.tissues(made, "own"), relative_error=[f"{100 * e:.2f} %" for e in made["relative_error"]]
+            tissue=drawn.tissues(made, own_name(run)),
+            relative_error=[f"{100 * e:.2f} %" for e in made["relative_error"]],
         )
         names = [
             "reading",

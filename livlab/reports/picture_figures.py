@@ -14,9 +14,10 @@ PRIMARIES_NM = (700.0, 546.1, 435.8)
 """Red, green and blue of Nunes 2019, eq. 6.20."""
 
 
-def name_of(row: Any) -> str:
-    """A picture's name: its reading, before it the tissue where it is not the run's own."""
+def name_of(row: Any, own: str = "") -> str:
+    """A picture's name: its reading, before it the tissue (`own`: what the run's own is called, if anything)."""
     tissue = row.get("tissue")
+    tissue = tissue if isinstance(tissue, str) and tissue else own
     return f"{tissue}, {row['reading']}" if isinstance(tissue, str) and tissue else str(row["reading"])
 
 
@@ -25,10 +26,10 @@ def tissues(table: pd.DataFrame, own: str = "") -> pd.Series[str]:
     return table["tissue"].astype(object).where(table["tissue"].notna(), own)
 
 
-def colours(table: pd.DataFrame) -> Figure:
+def colours(table: pd.DataFrame, own: str = "") -> Figure:
     """Mean colours: a patch each, and a*, b* and L* with ±2 standard errors."""
     rows = [{str(k): v for k, v in r.items()} for r in table.to_dict("records")]
-    names = [name_of(r) + (f" ({r['route']})" if table["route"].nunique() > 1 else "") for r in rows]
+    names = [name_of(r, own) + (f" ({r['route']})" if table["route"].nunique() > 1 else "") for r in rows]
     with style():
         figure = Figure(figsize=(7.4, max(3.2, 0.36 * len(rows) + 0.8)))
         left, right = figure.subplots(1, 2, width_ratios=[1.3, 1.0])
@@ -54,12 +55,12 @@ def colours(table: pd.DataFrame) -> Figure:
         return figure
 
 
-def absorption(table: pd.DataFrame) -> Figure:
+def absorption(table: pd.DataFrame, own: str = "") -> Figure:
     """Absorption coefficient of the last layer over wavelength, one curve a picture, in 1/mm."""
     with style():
         figure = Figure(figsize=(7.4, 3.8))
         ax = figure.subplots()
-        whole = table[table["element"] == "all"].assign(tissue=tissues(table))
+        whole = table[table["element"] == "all"].assign(tissue=tissues(table, own))
         grid = sorted(whole["wavelength_nm"].unique())
         merged = _merged(whole)
         for k, (label, values) in enumerate(merged):
@@ -92,12 +93,12 @@ def _merged(whole: pd.DataFrame) -> list[tuple[str, list[float]]]:
     return made
 
 
-def convergence(table: pd.DataFrame) -> Figure:
+def convergence(table: pd.DataFrame, own: str = "") -> Figure:
     """Error of each picture against time, with a guide of slope −1/2."""
     with style():
         figure = Figure(figsize=(7.4, 3.6))
         ax = figure.subplots()
-        whole = table.assign(tissue=tissues(table))
+        whole = table.assign(tissue=tissues(table, own))
         for k, ((tissue, reading), rows) in enumerate(whole.groupby(["tissue", "reading"], sort=False)):
             label = name_of({"tissue": tissue, "reading": reading})
             t, e = rows["seconds"].to_numpy(), 100 * rows["error"].to_numpy()

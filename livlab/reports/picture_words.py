@@ -30,6 +30,14 @@ _MODELS = {
 }
 
 
+def own_name(run: RunData) -> str:
+    """How the run's own tissue is called beside others: its state; nothing where there are no others."""
+    if not run.config.get("compared"):
+        return ""
+    state = run.config.get("tissue", {}).get("inline", {}).get("state", "")
+    return str(state).replace("_", " ") or "own"
+
+
 def lights(run: RunData) -> str:
     """The lights in words: kinds, and levels."""
     told = []
@@ -68,7 +76,7 @@ def caption(run: RunData, row: dict[str, Any], *, lit_by: bool = False) -> str:
     """Reading, colour route, samples, seconds and error of a picture."""
     if isinstance(row.get("baseline"), str):
         return str(_MODELS.get(row["baseline"], row["baseline"]))
-    text = f"{name_of(row)} reading; {ROUTES.get(str(row['route']), str(row['route']))}"
+    text = f"{name_of(row, own_name(run))} reading; {ROUTES.get(str(row['route']), str(row['route']))}"
     if lit_by:
         text += f"; {lights(run)}"
     cost = _cost(run, row)
@@ -94,7 +102,8 @@ def alt_text(run: RunData, row: dict[str, Any]) -> str:
         if same.any():
             c = colours[same].iloc[0]
             words = f", {colour_words(float(c['L']), float(c['chroma']), float(c['hue']))} (mean {c['sRGB']})"
-    return f"{title}: rendering, {name_of(row)} reading, {ROUTES.get(str(row['route']), str(row['route']))}{words}"
+    route = ROUTES.get(str(row["route"]), str(row["route"]))
+    return f"{title}: rendering, {name_of(row, own_name(run))} reading, {route}{words}"
 
 
 def colour_words(lightness: float, chroma: float, hue: float) -> str:
@@ -131,7 +140,7 @@ def findings(run: RunData) -> list[str]:
     if len(colours):
         first = colours["route"].iloc[0]
         parts = [
-            f"{name_of(r)}: {colour_words(float(r['L']), float(r['chroma']), float(r['hue']))}"
+            f"{name_of(r, own_name(run))}: {colour_words(float(r['L']), float(r['chroma']), float(r['hue']))}"
             for r in colours[colours["route"] == first].to_dict("records")
         ]
         said.append("In words, the lit body's mean colour is: " + "; ".join(parts) + ".")
@@ -144,11 +153,11 @@ def findings(run: RunData) -> list[str]:
         low, high = float(c["reference"]) - float(c["tolerance"]), float(c["reference"]) + float(c["tolerance"])
         text = f"Fails: {name} is {number(float(c['value']), 3)}, outside {number(low, 3)} to {number(high, 3)}."
         reading = next((r for r in sorted(readings, key=len, reverse=True) if r in name), "")
-        said.append(text + (_why(optics, reading, name) if reading and len(optics) else ""))
+        said.append(text + (_why(run, optics, reading, name) if reading and len(optics) else ""))
     return said
 
 
-def _why(optics: pd.DataFrame, reading: str, claim: str) -> str:
+def _why(run: RunData, optics: pd.DataFrame, reading: str, claim: str) -> str:
     """What the colour of a reading comes from, at the channels' middles, from red to blue."""
     if claim.startswith(("seconds", "memory", "relative error")):
         return ""
@@ -164,5 +173,5 @@ def _why(optics: pd.DataFrame, reading: str, claim: str) -> str:
         kept = rows["kept_by_redirection"].dropna()
         if len(kept) and float(kept.iloc[0]) < 1:
             text += f", each redirection keeping {100 * float(kept.iloc[0]):.0f} % of the light"
-        told.append(f"{str(tissue) or 'own tissue'}: {text}")
+        told.append(f"{str(tissue) or own_name(run)}: {text}" if tissue or own_name(run) else text)
     return " Red / green / blue, parenchyma under this reading: " + "; ".join(told) + "." if told else ""

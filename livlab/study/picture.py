@@ -116,7 +116,10 @@ def prepare(
                 {"stage": "tissue", "tissue": name, "reading": reading.name, "seconds": time.perf_counter() - started}
             )
             if config.effects is not None:
+                started = time.perf_counter()
                 work.plans[key] = plan_picture(config, tissue, reading, work.stacks[key])
+                about = {"stage": "plan", "tissue": name, "reading": reading.name}
+                work.costs.append({**about, "seconds": time.perf_counter() - started})
     return lambda run: _work(run, work)
 
 
