@@ -259,16 +259,16 @@ def flat_cut(
     value, error = (measured[name].to_numpy() for name in ("brdf", "brdf_se"))
     if kind == "collinear":
         rows = [int(np.abs(incidences - a).argmin()) for a in angles]
-        picked = [(x[:, rows, places, 0]) for x in (value, error)]
+        row = rows[0]
+        picked = [x[:, rows, places, 0].copy() for x in (value, error)]
     else:
         row = int(np.abs(incidences - incidence_deg).argmin())
         phi = np.where(angles < 0, 0, value.shape[3] - 1)
         picked = [x[:, row, places, phi].copy() for x in (value, error)]
-        # Straight above there is no azimuth: the whole ring about the normal is one detector.
-        share = _shares(measured)
-        top = np.flatnonzero(angles == 0)
-        picked[0][:, top] = (value[:, row, 0] * share).sum(1)[:, None]
-        picked[1][:, top] = np.sqrt(((error[:, row, 0] * share) ** 2).sum(1))[:, None]
+    # Straight above there is no azimuth: the whole ring about the normal is one detector.
+    share, top = _shares(measured), np.flatnonzero(angles == 0)
+    picked[0][:, top] = (value[:, row, 0] * share).sum(1)[:, None]
+    picked[1][:, top] = np.sqrt(((error[:, row, 0] * share) ** 2).sum(1))[:, None]
     return Cut(angles, angles, picked[0], picked[1], np.full(len(angles), np.nan))
 
 
