@@ -1,6 +1,7 @@
 """Geometry: shapes as triangle meshes in mm, distances to them, shells, sections. No renderer."""
 
 from livlab.model.shapes.checks import check
+from livlab.model.shapes.creases import creased
 from livlab.model.shapes.distance import DistanceField, distance_field
 from livlab.model.shapes.mesh import TriangleMesh
 from livlab.model.shapes.mesh_files import read_mesh, write_meshes
@@ -22,6 +23,7 @@ __all__ = [
     "TriangleMesh",
     "box",
     "check",
+    "creased",
     "distance_field",
     "inset",
     "liver",

@@ -12,7 +12,7 @@ MAX_FACES = 5_000_000
 """A file with more is refused before it is read."""
 
 _REPAIR = "Repair it in Blender, MeshLab or 3D Slicer, or mesh the segmentation with `livlab mesh`."
-_NO_AREA = 1e-13  # of the largest extent squared: below this double precision knows no normal
+_FLAT = 1e-12  # of the largest extent: a lower face has no normal in double precision
 
 
 def check(mesh: TriangleMesh, inner: TriangleMesh | None = None, *, max_faces: int = MAX_FACES) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ def _one(mesh: TriangleMesh, name: str, max_faces: int) -> list[str]:
 def _degenerate(mesh: TriangleMesh, name: str) -> None:
     f = mesh.faces
     repeated = (f[:, 0] == f[:, 1]) | (f[:, 1] == f[:, 2]) | (f[:, 2] == f[:, 0])
-    flat = repeated | (mesh.face_areas <= _NO_AREA * float(mesh.extent.max()) ** 2)
+    flat = repeated | (mesh.face_heights <= _FLAT * float(mesh.extent.max()))
     if flat.any():
         at = int(np.argmax(flat))
         shown = f"{int(flat.sum())} faces without area, first face {at} at {place(_centre(mesh, at))}"

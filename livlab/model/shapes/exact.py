@@ -89,7 +89,7 @@ def _signed(mesh: TriangleMesh, points: FloatArray) -> tuple[FloatArray, Pairs, 
     if len(points) == 0:
         return np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
-    if mesh.least_height < _NEEDLE * float(mesh.extent.max()):
+    if float(mesh.face_heights.min()) < _NEEDLE * float(mesh.extent.max()):
         sign = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     found = igl.signed_distance(points, mesh.vertices, _faces(mesh), sign)
     return -np.asarray(found[0], dtype=np.float64), np.asarray(found[1]), np.asarray(found[2])

@@ -92,11 +92,11 @@ class TriangleMesh:
         return np.asarray(np.linalg.norm(self._crosses, axis=1) / 2)
 
     @cached_property
-    def least_height(self) -> float:
-        """Shortest height of all faces in mm: twice the area over the longest edge."""
+    def face_heights(self) -> FloatArray:
+        """Shortest height of each face in mm, (m,): twice the area over the longest edge."""
         corners = self.vertices[self.faces]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        return float((2 * self.face_areas / np.maximum(longest, 1e-300)).min())
+        return np.asarray(2 * self.face_areas / np.maximum(longest, 1e-300))
 
     @property
     def area(self) -> float:

@@ -19,6 +19,30 @@ def edges(mesh: TriangleMesh) -> tuple[Index, Index]:
     return np.stack([keys // size, keys % size], axis=-1), inverse.reshape(-1, 3)
 
 
+def without_flat(mesh: TriangleMesh, height_mm: float) -> TriangleMesh:
+    """Swap the longest edge of each face lower than this for the other diagonal of the two faces beside it.
+
+    Cutting leaves faces whose three corners lie on one line; the middle one then becomes a corner of the neighbour.
+
+    >>> flat = TriangleMesh([[0, 0, 0], [2, 0, 0], [1, 0, 0], [1, -1, 0]], [[0, 1, 2], [1, 0, 3]])
+    >>> without_flat(flat, 1e-9).face_areas.tolist()
+    [0.5, 0.5]
+    """
+    faces = mesh.faces.astype(np.int64)
+    for face in np.flatnonzero(mesh.face_heights < height_mm):
+        corners = mesh.vertices[faces[face]]
+        k = int(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).argmax())
+        a, b, c = np.roll(faces[face], -k)
+        beside = np.flatnonzero((faces == b).any(axis=1) & (faces == a).any(axis=1))
+        beside = beside[beside != face]
+        if len(beside) != 1:
+            continue
+        d = int(faces[beside[0]][~np.isin(faces[beside[0]], [a, b])][0])
+        if d != c and not ((faces == c).any(axis=1) & (faces == d).any(axis=1)).any():  # that edge is still free
+            faces[face], faces[beside[0]] = (a, d, c), (d, b, c)
+    return TriangleMesh(mesh.vertices, faces)
+
+
 def split(mesh: TriangleMesh, ends: Index, of_face: Index, chosen: NDArray[np.bool_]) -> TriangleMesh:
     """Put a vertex in the middle of each chosen edge and cut the faces beside it in two, three or four.
 

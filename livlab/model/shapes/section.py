@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from livlab.errors import InputError
 from livlab.model.shapes.mesh import FloatArray, TriangleMesh
+from livlab.model.shapes.refine import without_flat
 
-_SLIVER = 1e-7  # of the extent: what rounding leaves along a cut
+_SLIVER = 1e-8  # of the extent: what rounding leaves along a cut
 
 
 @dataclass(frozen=True)
@@ -144,4 +145,8 @@ def _without(mesh: TriangleMesh, planes: list[Plane], back_mm: float, name: str)
         raise InputError.of(
             "planes", planes, f"leave nothing of the {name} mesh", "Turn the normal, or move the plane."
         )
-    return mesh_of(left.simplify(_SLIVER * float(mesh.extent.max())))
+    sliver = _SLIVER * float(mesh.extent.max())
+    made = mesh_of(left.simplify(sliver))
+    for _ in range(3):  # a swap may leave its neighbour flat
+        made = without_flat(made, sliver / 100)
+    return made
