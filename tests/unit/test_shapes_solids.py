@@ -10,6 +10,7 @@ from livlab.model.shapes import (
     box,
     cache,
     check,
+    creased,
     distance_field,
     inset,
     liver,
@@ -92,6 +93,34 @@ def test_a_wedge_and_a_corner_of_nested_spheres_stay_closed():
         cut = section(BALL, inner, planes=planes)
         assert check(cut.outer, cut.inner) == ()
         assert cut.removed_mm3 == pytest.approx(BALL.volume - cut.outer.volume)
+
+
+def test_many_cuts_through_a_liver_are_sound():
+    """Planes on vertices, next to vertices and anywhere."""
+    organ = liver(resolution_mm=3.0, cached=False)
+    inner = inset(organ, 2.0, spacing_mm=2.0).mesh
+    draw = np.random.default_rng(5)
+    for k in range(12):
+        point = organ.vertices[draw.integers(len(organ.vertices))] * (0.2 if k % 3 else 0.9)
+        if k % 4 == 1:
+            point = organ.vertices[np.abs(organ.vertices[:, 1]).argmin()] + 1e-7
+        normal = np.eye(3)[k % 3] if k % 2 else draw.normal(size=3)
+        planes = Plane(tuple(point), tuple(normal)) if k < 8 else wedge(point, normal, draw.normal(size=3), 1.0)
+        cut = section(organ, inner, planes=planes)
+        assert all("separate" in said for said in check(cut.outer, cut.inner))
+
+
+def test_creases_shade_a_cap_flat_and_leave_the_rest_round():
+    cut = section(BALL, planes=Plane((0, 0, 3.0), (0, 0, 1))).outer
+    shaded = creased(cut)
+    cap = np.abs(shaded.vertices[shaded.faces][:, :, 2] - 3.0).max(axis=1) < 1e-9
+    assert shaded.vertex_normals[shaded.faces[cap]][..., 2].min() > 1 - 1e-9
+    rest = shaded.faces[~cap]
+    round_ = np.einsum("fkd,fkd->fk", shaded.vertex_normals[rest], shaded.vertices[rest]) / 10
+    assert round_.min() > 0.99
+    assert shaded.volume == pytest.approx(cut.volume, rel=1e-12)
+    assert len(shaded.faces) == len(cut.faces)
+    assert cut.vertex_normals[cut.faces[cap]][..., 2].min() < 0.95  # what it is for
 
 
 @pytest.mark.parametrize(
