@@ -4,43 +4,59 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from livlab.model.tracer.state import Place, State
+from livlab.model.tracer.state import WALK, State
+from livlab.model.tracer.surface import Hit
+from livlab.model.transport import rng as random
 
 if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Hit, Kernel
+    from livlab.model.tracer.kernel import Kernel
 
 MIRRORED = 0.2
 """Share of the camera's rays that the first surface mirrors."""
 
 
-def cross(
-    kernel: Kernel, s: State, place: Place, hit: Hit, enters: Any, exits: Any, lost: Any, barrier: Any, u: Any
-) -> Place:
-    """Reflect or refract at an interface."""
+def cross_layers(kernel: Kernel, s: State, barrier: Any) -> State:
+    """Reflect or refract at an interface between layers that the depth tells."""
     dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    assert m is not None
+    place = s.place
+    up = dr.dot(s.d, place.inward) < 0.0
+    interface = dr.select(up, s.medium - 1, s.medium)
+    eta = _ratio(kernel, s, interface, up, barrier)
+    cosine, bounced, bent = _turned(dr, s.d, -place.inward, eta)
+    row = m.fresnel_row(interface, up, cosine)
+    reflectance = dr.gather(mi.Float, m.reflectance, row * m.m.padded + s.hero, barrier)
+    reflects = random.uniform(kernel.d, s.stream.next_uint32()) < reflectance
+    s.d = dr.select(barrier, dr.select(reflects, bounced, bent), s.d)
+    _enter(kernel, s, row, reflects, barrier, interface)
+    s.medium = dr.select(barrier & ~reflects, dr.select(up, interface, interface + 1), s.medium)
+    s.covered &= ~(barrier & reflects)
+    place.depth = dr.select(barrier, m.pick(interface, m.region_top), place.depth)
+    if m.short:
+        place.since = dr.select(barrier, 0.0, place.since)
+    s.pending = dr.select(barrier, WALK, s.pending)
+    return s
+
+
+def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any) -> State:
+    """Reflect or refract at a surface that a ray has met; or leave where a path finds itself outside."""
+    dr, mi, m, place = kernel.dr, kernel.mi, kernel.medium, s.place
     assert m is not None and kernel.flights is not None
     ledger = s.ledger
     exits = exits | lost
-    any_ = enters | exits | barrier
-    if len(kernel.shapes) > 1:
-        interface = hit.interface
-        upwards = exits & ~hit.outward
-    else:
-        region = s.medium - 1
-        up_inside = dr.dot(s.d, place.inward) < 0.0 if kernel.flights.layered else mi.Bool(False)
-        interface = dr.select(barrier, dr.select(up_inside, region, region + 1), mi.UInt32(0))
-        upwards = exits | (barrier & up_inside)
-    normal = hit.normal
-    out = -place.inward if kernel.flights.field is not None else s.d
-    normal = dr.select(barrier | lost, out, normal)
-    above = dr.gather(mi.Float, m.index, interface * kernel.width + s.hero, any_)
-    below = dr.gather(mi.Float, m.index, (interface + 1) * kernel.width + s.hero, any_)
-    eta = dr.select(upwards, below * dr.rcp(above), above * dr.rcp(below))
+    any_ = enters | exits
+    interface, upwards = mi.UInt32(0), exits
+    if kernel.interfaces > 1:
+        interface = dr.select(lost, 0, hit.interface)
+        upwards = exits & (~hit.outward | lost)
+    out = -place.inward if kernel.field else s.d
+    normal = dr.select(lost, out, hit.normal)
+    eta = _ratio(kernel, s, interface, upwards, any_)
     # A smoothed normal may send light to the wrong side of the surface: there the facet's own is taken.
     _, bounced, bent = _turned(dr, s.d, normal, eta)
-    before = dr.dot(s.d, hit.si.n)
-    wrong = (dr.dot(bounced, hit.si.n) * before >= 0.0) | (dr.dot(bent, hit.si.n) * before <= 0.0)
-    normal = dr.select((enters | exits) & ~lost & wrong, hit.si.n, normal)
+    before = dr.dot(s.d, hit.facet)
+    wrong = (dr.dot(bounced, hit.facet) * before >= 0.0) | (dr.dot(bent, hit.facet) * before <= 0.0)
+    normal = dr.select(any_ & ~lost & wrong, hit.facet, normal)
     cosine, bounced, bent = _turned(dr, s.d, normal, eta)
     row = m.fresnel_row(interface, upwards, cosine)
     reflectance = dr.gather(mi.Float, m.reflectance, row * m.m.padded + s.hero, any_)
@@ -49,40 +65,50 @@ def cross(
     mirrored = dr.gather(mi.Float, m.reflectance, row * m.m.padded, first)
     if m.m.refracts[0]:
         mirrored = dr.maximum(mirrored, MIRRORED)
+    u = random.uniform(kernel.d, s.stream.next_uint32())
     reflects = u < dr.select(first, mirrored, reflectance)
     s.d = dr.select(any_, dr.select(reflects, bounced, bent), s.d)
     chance = dr.rcp(dr.select(reflects, mirrored, 1.0 - mirrored))
     if m.first:
-        marked = row | dr.select(reflects, mi.UInt32(0), 1 << 31)
-        ledger.first = dr.select(first, marked, ledger.first)
+        ledger.first = dr.select(first, 2 * row + dr.select(reflects, mi.UInt32(0), 1), ledger.first)
     else:
         chance = chance * dr.select(reflects, reflectance, 1.0 - reflectance)
     ledger.common = dr.select(first, ledger.common * chance, ledger.common)
-    if m.vector and any(m.m.dispersive):
-        found = m.packet(m.reflectance, row, m.m.padded)
-        varies = m.pick(interface, [mi.Bool(x) for x in m.m.dispersive])
-        add = any_ & ~first & varies
-        ledger.rows = [
-            x + dr.select(add, dr.log(dr.maximum(dr.select(reflects, r, 1.0 - r), 1e-30)), 0.0)
-            for x, r in zip(ledger.rows, found, strict=False)
-        ]
+    _enter(kernel, s, row, reflects, any_ & ~first, interface)
     through = any_ & ~reflects
     after = dr.select(upwards, interface, interface + 1)
     s.medium = dr.select(through, after, s.medium)
     s.covered &= ~(any_ & reflects) & ~enters
-    if kernel.flights.field is not None:
-        at_surface = enters | exits
-        place.depth = dr.select(at_surface, 0.0, place.depth)
-        place.trust = dr.select(at_surface, 0.0, place.trust)
-        place.clear = dr.select(at_surface, 0.0, place.clear)
-        if kernel.flights.layered:
-            told = m.pick(interface, m.region_top)
-            place.depth = dr.select(barrier, told, place.depth)
+    if kernel.field:
+        # At the surface its depth is known: nothing to look up.
+        place.depth = dr.select(any_, 0.0, place.depth)
+        place.inward = dr.select(any_, -normal, place.inward)
+        place.trust = dr.select(any_, kernel.flights.patch, place.trust)
+        place.clear = dr.select(any_, 0.0, place.clear)
     elif kernel.peel is not None:
-        place.inward = dr.select(enters | exits, -normal, place.inward)
+        place.inward = dr.select(any_ & ((interface == 0) | ~upwards), -normal, place.inward)
     if m.short:
         place.since = dr.select(any_, 0.0, place.since)
-    return place
+    return s
+
+
+def _ratio(kernel: Kernel, s: State, interface: Any, upwards: Any, active: Any) -> Any:
+    """Index before an interface over that behind it."""
+    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    assert m is not None
+    above = dr.gather(mi.Float, m.index, interface * kernel.width + s.hero, active)
+    below = dr.gather(mi.Float, m.index, (interface + 1) * kernel.width + s.hero, active)
+    return dr.select(upwards, below * dr.rcp(above), above * dr.rcp(below))
+
+
+def _enter(kernel: Kernel, s: State, row: Any, reflects: Any, active: Any, interface: Any) -> None:
+    """Enter a choice of Fresnel's into the ledger where its chance differs by wavelength."""
+    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    assert m is not None
+    if m.vector and any(m.m.dispersive):
+        found = m.packet(m.log_fresnel, 2 * row + dr.select(reflects, mi.UInt32(0), 1), m.m.padded)
+        add = active & m.pick(interface, [mi.Bool(x) for x in m.m.dispersive])
+        s.ledger.rows = [x + dr.select(add, r, 0.0) for x, r in zip(s.ledger.rows, found, strict=False)]
 
 
 def _turned(dr: Any, d: Any, normal: Any, eta: Any) -> tuple[Any, Any, Any]:

@@ -16,6 +16,12 @@ FAR = 1e30
 BEND = 0.02
 """Part of the layers' thickness by which the surface may leave its tangent plane within a patch."""
 
+TRY = 1.9
+"""A flight that the surface's flatness would let be proved, as part of twice the clearance over 1 − slope."""
+
+STEEP = 0.1
+"""Cosine with the inward normal from which on a flight of a patch's length does not count as grazing."""
+
 
 @dataclass
 class Flight:
@@ -71,34 +77,12 @@ class Flights:
         rate = medium.pick(layer, rates[: medium.m.layers])
         return layer, dr.minimum(tau * dr.rcp(dr.maximum(rate, 1e-30)), FAR)
 
-    def refresh(self, s: State, tau: Any, inside: Any) -> tuple[Place, Any]:
-        """Look the depth up where the last look no longer holds; tells also where the path has left the body."""
-        dr, mi = self.dr, self.mi
-        place = s.place
-        if self.field is None:
-            return place, mi.Bool(False)
-        stale = inside & (place.trust <= 0.0 if self.layered else place.clear < self.free(s, tau)[1])
-        depth, inward = self.field.look(s.p, stale)
-        lost = stale & (depth < -self.slack) & (dr.dot(s.d, inward) < 0.0)
-        clear = depth - self.slack
-        # Deep inside nothing is near; by the surface the layers lie flat as far as a patch goes.
-        trust = dr.maximum(clear - self.thickness, self.patch) if self.layered else mi.Float(FAR)
-        choose = partial(dr.select, stale)
-        found = Place(
-            choose(dr.maximum(depth, 0.0), place.depth),
-            choose(inward, place.inward),
-            choose(trust, place.trust),
-            choose(clear, place.clear),
-            place.since,
-        )
-        return found, lost
-
-    def fly(self, s: State, place: Place, tau: Any) -> Flight:
-        """Follow a ray until its optical depth is spent, an interface is met, or the look-up ends."""
+    def fly(self, s: State) -> Flight:
+        """Follow a ray until its optical depth is spent, an interface is met, or what is known of the depth ends."""
         dr, mi, medium = self.dr, self.mi, self.medium
-        m = medium.m
+        m, place = medium.m, s.place
         if not self.layered:
-            layer, free = self.free(s, tau)
+            layer, free = self.free(s, s.tau)
             meets = free < FAR
             inf = mi.Float(FAR)
             spans = [
@@ -117,7 +101,11 @@ class Flights:
             medium.pick(region, [mi.Float(-FAR), *medium.region_top[1:]]),
         )
         to_barrier = dr.maximum((bound - place.depth) * inverse, 0.0)
-        limit = dr.minimum(place.trust, to_barrier)
+        # Deep inside a longer flight is tried, which the depth at its end may prove: see `prove`.
+        deep = place.clear - self.thickness
+        tried = dr.select(deep > self.patch, TRY * deep * dr.rcp(dr.maximum(1.0 - slope, 0.2)), 0.0)
+        horizon = dr.maximum(place.trust, tried)
+        limit = dr.minimum(horizon, to_barrier)
         rates = medium.packet(medium.rates, s.hero, medium.stride)
         spans, depths = [], []
         for k in range(m.layers):
@@ -130,37 +118,82 @@ class Flights:
         for x in depths:
             before.append(total)
             total = total + x
-        meets = tau < total
+        meets = s.tau < total
         layer, start, left, rate = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(1.0)
         for k, x in enumerate(depths):
             first = dr.select(down, before[k], total - before[k] - x)
-            here = (tau >= first) & (x > 0.0)
-            here &= tau < first + x
+            here = (s.tau >= first) & (x > 0.0)
+            here &= s.tau < first + x
             layer = dr.select(here, mi.UInt32(k), layer)
             start = dr.select(here, spans[k][0], start)
-            left = dr.select(here, tau - first, left)
+            left = dr.select(here, s.tau - first, left)
             rate = dr.select(here, rates[k], rate)
         path = left * dr.rcp(rate)
         reach = dr.select(meets, dr.minimum(start + path, limit), limit)
         within = dr.select(start > 0.0, path, path + place.since) if medium.short else path
-        barrier = ~meets & (to_barrier <= place.trust)
+        barrier = ~meets & (to_barrier <= horizon)
         return Flight(reach, meets, layer, within, barrier, spans, slope)
+
+    def settle(self, s: State, flight: Flight, walks: Any) -> tuple[Any, Any, Any, Any, Place]:
+        """What comes of a flight: whether it holds, needs a ray cast, or ends outside; how far it goes, and the place.
+
+        The points within its clearance of either end of a flight are inside; if the two together are longer than the
+        flight, so is all of it.
+        """
+        dr, mi, place = self.dr, self.mi, s.place
+        if self.field is None:
+            return mi.Bool(False), walks, mi.Bool(False), mi.Float(0.0), place
+        if self.layered:
+            deep = place.clear - self.thickness
+            far = walks & (flight.reach > place.trust)
+            looks = far | (walks & (flight.reach >= place.trust))
+            casts = walks & ~far & (place.trust > 0.0) & self.may_leave(place, flight)
+        else:
+            deep = place.clear
+            blind = place.trust <= 0.0
+            far = walks & ~blind & (flight.reach > deep)
+            looks = far | (walks & blind)
+            casts = mi.Bool(False)
+        looks &= ~casts
+        end = flight.reach if self.layered else dr.select(blind, 0.0, flight.reach)
+        depth, inward = self.field.look(dr.fma(end, s.d, s.p), looks)
+        clear = depth - self.slack
+        proved = dr.maximum(deep, 0.0) + clear - self.thickness >= flight.reach
+        if self.layered:
+            holds = walks & ~casts & (~far | proved)
+            path = dr.select(holds, flight.reach, dr.maximum(dr.minimum(place.trust, flight.reach), 0.0))
+        else:
+            casts = far & ~proved
+            holds = walks & ~blind & ~casts
+            path = dr.select(holds, flight.reach, 0.0)
+        path = dr.select(walks & ~casts, path, 0.0)
+        # Deep inside nothing is near; by the surface the layers lie flat as far as a patch goes.
+        trust = dr.maximum(clear - self.thickness, self.patch) if self.layered else mi.Float(FAR)
+        known = looks & (holds | (end <= 0.0)) & ~casts
+        old = self.moved(place, flight, path)
+        choose = partial(dr.select, known)
+        lost = known & (depth < -self.slack) & (dr.dot(s.d, inward) < 0.0)
+        made = Place(
+            choose(dr.maximum(depth, 0.0), old.depth),
+            choose(inward, old.inward),
+            choose(trust, old.trust),
+            choose(clear, old.clear),
+            old.since,
+        )
+        return holds, casts, lost, path, made
 
     def lengths(self, flight: Flight, path: Any) -> list[Any]:
         """Path in each layer when the flight ends after `path`."""
         dr = self.dr
         return [dr.maximum(dr.minimum(leave, path) - enter, 0.0) for enter, leave in flight.spans]
 
-    def clear(self, place: Place) -> Any:
-        """Path within which no surface can be."""
-        dr = self.dr
-        if self.field is None:
-            return self.mi.Float(0.0)
-        if not self.layered:
-            return place.clear
-        # Within a patch the plane tells the distance better than the last look-up less the path since.
-        flat = dr.select(place.depth < self.thickness + self.patch, place.depth - self.slack, 0.0)
-        return dr.maximum(place.clear, flat)
+    def may_leave(self, place: Place, flight: Flight) -> Any:
+        """Whether the surface may lie in the way of a flight by the surface."""
+        # Within a patch the plane tells the distance better than the last look less the path since.
+        flat = self.dr.select(place.depth < self.thickness + self.patch, place.depth - self.slack, 0.0)
+        # What heads inwards by more than a few degrees does not leave within a patch.
+        inwards = (flight.slope > STEEP) & (flight.reach <= self.patch)
+        return (flight.reach > self.dr.maximum(place.clear, flat)) & ~inwards
 
     def moved(self, place: Place, flight: Flight, path: Any) -> Place:
         """Keep account of a step."""

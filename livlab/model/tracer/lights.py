@@ -94,6 +94,11 @@ class Lights:
         found = packet(self.mi, self.dr, self.spectra, number, self.padded)
         return [found[w] * strength for w in range(len(self.wavelengths))]
 
+    def seen(self, s: Any, missed: Any, lamp: Any, hit: Any) -> list[Any]:
+        """Radiance that a ray has come to outside, a value a wavelength."""
+        around, met = self.surrounding(s, missed), self.met(hit, lamp)
+        return [x + y for x, y in zip(around, met, strict=True)]
+
     def surrounding(self, s: Any, active: Any) -> list[Any]:
         """Radiance of the environment along a lane's ray, a value a wavelength; 0 where not active."""
         dr, mi = self.dr, self.mi
@@ -113,13 +118,15 @@ class Lights:
         dr, mi = self.dr, self.mi
         if not self.surfaces:
             return [mi.Float(0.0) for _ in self.wavelengths]
-        emitter = hit.si.shape.emitter()
+        flags = mi.RayFlags.UV | mi.RayFlags.ShadingFrame
+        si = hit.found.compute_surface_interaction(hit.ray, flags, active)
+        emitter = si.shape.emitter()
         lit = active & (emitter != None)  # noqa: E711 - Dr.Jit compares elementwise
         if any(self.textured[self.all.index(e)] for e in self.surfaces):
-            return self._groups(hit.si, lambda x: emitter.eval(x, lit), lit)
+            return self._groups(si, lambda x: emitter.eval(x, lit), lit)
         number = dr.gather(mi.UInt32, self.number_of, dr.reinterpret_array(mi.UInt32, emitter), lit)
-        hit.si.wavelengths = mi.UnpolarizedSpectrum(dr.gather(mi.Float, self.references, number, lit))
-        found = dr.select(lit, emitter.eval(hit.si, lit)[0], 0.0)
+        si.wavelengths = mi.UnpolarizedSpectrum(dr.gather(mi.Float, self.references, number, lit))
+        found = dr.select(lit, emitter.eval(si, lit)[0], 0.0)
         return self.emission(number, found)
 
     def arriving(self, lamp: Any, it: Any, sample: Any, active: Any) -> tuple[list[Any], Any]:

@@ -51,6 +51,8 @@ class Medium:
         self.meetings = load(self._meetings())
         self.rows = load(m.rows)
         self.reflectance = load(m.reflectance)
+        both = np.stack([m.reflectance, 1.0 - m.reflectance], axis=3)
+        self.log_fresnel = load(np.log(np.maximum(both, 1e-30)) if self.several and any(m.dispersive) else [0.0])
         self.index = load(m.index)
         with np.errstate(divide="ignore"):
             met = np.maximum(np.log(m.extinction), NEVER)
@@ -72,6 +74,7 @@ class Medium:
             self.meetings,
             self.rows,
             self.reflectance,
+            self.log_fresnel,
             self.index,
             self.log_met,
             self.log_scattered,
@@ -159,10 +162,8 @@ class Medium:
         above = list(extra)
         if self.first:
             known = ledger.first != NONE
-            row = self.packet(self.reflectance, ledger.first & 0x7FFFFFFF, m.padded, known)
-            through = ledger.first >= 1 << 31
-            chance = [dr.select(known, dr.select(through, 1.0 - r, r), 1.0) for r in row]
-            above = [x + dr.log(dr.maximum(r, 1e-30)) for x, r in zip(above, chance, strict=False)]
+            row = self.packet(self.log_fresnel, dr.select(known, ledger.first, 0), m.padded, known)
+            above = [x + dr.select(known, r, 0.0) for x, r in zip(above, row, strict=False)]
         if more is not None:
             for k, path in enumerate(more):
                 above = [x - self.extinction_of[k][w] * path for w, x in enumerate(above)]

@@ -8,12 +8,13 @@ n₂ P₂ = n₁ P₁ + (n₂ cos θ₂ − n₁ cos θ₁) S, P being the front
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from livlab.model.tracer.flight import Flight
-from livlab.model.tracer.state import Place, State
+from livlab.model.tracer.state import Aim, State
+from livlab.model.tracer.surface import Hit
 from livlab.model.transport import rng as random
 
 if TYPE_CHECKING:
@@ -25,18 +26,30 @@ LIFT = 2e-5
 BOOST = 2.0
 """A lamp is asked for with this chance, times what of its light would come through."""
 
+FLOOR = 0.05
+"""Least share of an even phase function that a chance counts with: its angle is a guess."""
+
 CAUSTIC = 0.02
 """Least part of the spread that a flat surface gives: below it light is focused more than is believed."""
 
 
 @dataclass
 class Asked:
-    """Light from a lamp: in which lanes, how much at each wavelength, and what the weights need to know of its way."""
+    """Light from a lamp: in which lanes, how much at each wavelength, and what weighs it.
+
+    Attributes
+    ----------
+    extra, met
+        Logarithms of the density to scatter towards the lamp, and of that to meet there, a value a wavelength.
+    lengths
+        Path of the light in each layer.
+    """
 
     active: Any
     strength: list[Any]
     lengths: list[Any]
-    w: Any
+    extra: list[Any]
+    met: list[Any]
 
 
 @dataclass
@@ -51,7 +64,7 @@ class Way:
     path: Any
     legs: list[Any]
     cosines: list[Any]
-    si: Any
+    hit: Hit
 
 
 class Peel:
@@ -89,59 +102,78 @@ class Peel:
         outer = dr.gather(mi.Float, self.m.index, s.hero, active)
         return outer * dr.rcp(dr.gather(mi.Float, self.m.index, (region + 1) * width + s.hero, active))
 
-    def sample(self, s: State, y: Any, active: Any) -> tuple[Any, Any, Any, list[Any]]:
-        """A lamp: direction to it from near y, its place, whether it is distant, and its irradiance or intensity."""
-        dr, mi, lights = self.dr, self.mi, self.lights
+    def take_aim(self, s: State, enters: Any) -> State:
+        """Choose the lamp and the place on it that the meetings ask for, as a path enters the body.
+
+        Were it chosen again after a lamp was asked for, the places that are asked for less would be met more often.
+        """
+        dr, mi, lights, d = self.dr, self.mi, self.lights, self.k.d
         count = len(lights.lamps)
-        u = random.uniform(self.k.d, s.stream.next_uint32())
-        sample = mi.Point2f(
-            random.uniform(self.k.d, s.stream.next_uint32()), random.uniform(self.k.d, s.stream.next_uint32())
+        chosen = dr.zeros(mi.UInt32, dr.width(s.row))
+        if count > 1:
+            u = random.uniform(d, s.stream.next_uint32())
+            chosen = dr.minimum(mi.UInt32(u * count), count - 1)
+        sample = mi.Point2f(random.uniform(d, s.stream.next_uint32()), random.uniform(d, s.stream.next_uint32()))
+        it = dr.zeros(mi.Interaction3f)
+        it.p = s.p
+        spot, distant = mi.Point3f(0.0), mi.Bool(False)
+        for k, lamp in enumerate(lights.lamps):
+            here = enters & (chosen == k)
+            ds, _ = lamp.sample_direction(it, sample, here)
+            spot = dr.select(here, mi.Point3f(ds.d) if self.distant[k] else ds.p, spot)
+            distant = dr.select(here, mi.Bool(self.distant[k]), distant)
+        choose = partial(dr.select, enters)
+        s.aim = Aim(
+            choose(chosen, s.aim.lamp),
+            choose(sample, s.aim.sample),
+            choose(spot, s.aim.spot),
+            choose(distant, s.aim.distant),
         )
+        return s
+
+    def toward(self, aim: Aim, y: Any) -> Any:
+        """Direction from a place to where the path aims."""
+        return self.dr.select(aim.distant, self.mi.Vector3f(aim.spot), self.dr.normalize(aim.spot - y))
+
+    def chance(self, s: State, density: Callable[[Any], Any]) -> Any:
+        """Chance that a meeting asks for its lamp: what a flat surface would let through of what is scattered there."""
+        dr, mi = self.dr, self.mi
+        eta = self.ratio(s, s.medium - 1, True)
+        inside, _, cosine = self.bend(self.toward(s.aim, s.p), -s.place.inward, eta)
+        w = 0.5 * dr.squared_norm(s.d - inside)
+        depth = dr.maximum(s.place.depth, 0.0) if self.flights.layered else mi.Float(0.0)
+        tau = self.m.pick(s.meeting.layer, self.least) * depth * dr.rcp(dr.maximum(cosine, 0.1))
+        return dr.minimum(BOOST * dr.maximum(12.566 * density(w), FLOOR) * dr.exp(-tau), 1.0)
+
+    def strength(self, s: State, y: Any, active: Any) -> list[Any]:
+        """Irradiance of the lamp in a place near y if it is distant, else its intensity, a value a wavelength."""
+        dr, mi, lights = self.dr, self.mi, self.lights
+        count = float(len(lights.lamps))
         it = dr.zeros(mi.Interaction3f)
         it.p = y
-        direction, place = mi.Vector3f(0.0, 0.0, 1.0), mi.Point3f(0.0)
-        distant = mi.Bool(False)
         strength = [mi.Float(0.0) for _ in range(self.k.width)]
-        chosen = dr.minimum(mi.UInt32(u * count), count - 1)
         for k, lamp in enumerate(lights.lamps):
-            here = active & (chosen == k)
-            found, ds = lights.arriving(lamp, it, sample, here)
-            scale = mi.Float(float(count)) if self.distant[k] else count * dr.square(ds.dist)
-            strength = [dr.select(here, x * scale, y_) for x, y_ in zip(found, strength, strict=True)]
-            direction, place = dr.select(here, ds.d, direction), dr.select(here, ds.p, place)
-            distant = dr.select(here, self.distant[k], distant)
-        return direction, place, distant, strength
+            here = active & (s.aim.lamp == k)
+            found, ds = lights.arriving(lamp, it, s.aim.sample, here)
+            scale = mi.Float(count) if self.distant[k] else count * dr.square(ds.dist)
+            strength = [dr.select(here, x * scale, z) for x, z in zip(found, strength, strict=True)]
+        return strength
 
-    def ask(self, s: State, place: Place, flight: Flight, asks: Any, density: Any) -> Asked:
+    def ask(self, s: State, asks: Any) -> Asked:
         """Ask a lamp for its light at a meeting."""
-        dr, mi, m = self.dr, self.mi, self.m
+        dr, mi, m, now = self.dr, self.mi, self.m, s.meeting
         region = s.medium - 1
-        normal, depth, near = self.above(s, place, asks)
-        y0 = s.p + normal * depth
-        direction, spot, distant, strength = self.sample(s, y0, asks)
+        normal, depth, near = self.above(s, asks)
         eta = self.ratio(s, region, asks)
-
-        def toward(y: Any) -> Any:
-            return dr.select(distant, direction, dr.normalize(spot - y))
-
-        inside, out, cosine = self.bend(toward(y0), normal, eta)
-        # Chance to go on: what a flat surface at this depth would let through, and the phase function send there.
-        reach = depth * dr.rcp(dr.maximum(cosine, 1e-3))
-        tau = m.pick(flight.layer, self.least) * reach
-        w = 0.5 * dr.squared_norm(s.d - inside)
-        chance = dr.minimum(BOOST * 12.566 * density(w) * dr.exp(-tau), 1.0)
-        goes = asks & (out > 0.0) if self.flights.field is not None and self.flights.layered else asks
-        goes &= random.uniform(self.k.d, s.stream.next_uint32()) < chance
-        way = self.way(s, place, flight, normal, depth, near, eta, toward, goes)
-        good = goes & way.good
-        lamp = way.lamp
-        c2 = dr.dot(lamp, way.normal)
-        good &= c2 > 0.0
+        way = self.way(s, normal, depth, near, eta, asks)
+        c2 = dr.dot(way.lamp, way.normal)
+        good = asks & way.good & (c2 > 0.0)
         c2 = dr.maximum(c2, 1e-4)
-        far = dr.select(distant, 0.0, dr.norm(spot - way.y))
-        factor = self.spread(way, lamp, c2, distant, far, 1.0 * dr.rcp(eta), near)
+        distant = s.aim.distant
+        far = dr.select(distant, 0.0, dr.norm(s.aim.spot - way.y))
+        factor = self.spread(way, c2, distant, far, dr.rcp(eta), near, good)
         lift = dr.select(near, self.lift_flat, self.lift)
-        ray = mi.Ray3f(way.y + way.normal * lift, lamp)
+        ray = mi.Ray3f(way.y + way.normal * lift, way.lamp)
         ray.maxt = dr.select(distant, 1e30, (far - lift) * (1.0 - 1e-4))
         good &= ~self.k.scene.ray_test(ray, good)
         for r in range(self.regions):
@@ -150,12 +182,30 @@ class Peel:
                 row = m.fresnel_row(mi.UInt32(r), mi.Bool(True), dr.minimum(way.cosines[r], 1.0))
                 reflected = dr.gather(mi.Float, m.reflectance, row * m.m.padded + s.hero, passes)
                 factor = dr.select(passes, factor * (1.0 - reflected), factor)
-        factor = dr.select(good, factor * dr.rcp(dr.maximum(chance, 1e-6)), 0.0)
-        return Asked(good, [x * factor for x in strength], way.legs, 0.5 * dr.squared_norm(s.d - way.inside))
+        factor = dr.select(good, factor * dr.rcp(dr.maximum(now.chance, 1e-6)), 0.0)
+        if m.focused:
+            factor = factor * m.pick(now.layer, m.focus)
+        strength = [x * factor for x in self.strength(s, way.y, good)]
+        w = 0.5 * dr.squared_norm(s.d - way.inside)
+        scattered = m.packet(m.log_scattered, now.layer, m.m.padded)
+        closed = m.log_phase(now.code, now.g, w)
+        extra = [x + closed for x in scattered]
+        if m.tabled:
+            at = mi.UInt32(dr.maximum(now.base, 0.0)) + mi.UInt32(m.cell(w))
+            rows = m.packet(m.rows, at, m.m.padded)
+            extra = [dr.select(now.base >= 0.0, y, x) for x, y in zip(extra, rows, strict=True)]
+        met = m.packet(m.log_met, now.layer, m.m.padded)
+        return Asked(
+            good,
+            strength,
+            [dr.select(good, x, 0.0) for x in way.legs],
+            [dr.select(good, x, 0.0) for x in extra[: self.k.width]],
+            [dr.select(good, x, 0.0) for x in met],
+        )
 
-    def above(self, s: State, place: Place, asks: Any) -> tuple[Any, Any, Any]:
+    def above(self, s: State, asks: Any) -> tuple[Any, Any, Any]:
         """Outward normal at the nearest point of the surface, depth below it, and whether it counts as flat there."""
-        dr, mi = self.dr, self.mi
+        dr, mi, place = self.dr, self.mi, s.place
         field = self.flights.field
         if field is None:
             return -place.inward, mi.Float(0.0), mi.Bool(False)
@@ -164,54 +214,35 @@ class Peel:
             return -inward, dr.maximum(depth, 0.0), depth < self.shallow
         near = place.depth < self.shallow
         depth, inward = field.look(s.p, asks & ~near)
-        return (
-            -dr.select(near, place.inward, inward),
-            dr.maximum(dr.select(near, place.depth, depth), 0.0),
-            near,
-        )
+        normal = -dr.select(near, place.inward, inward)
+        return normal, dr.maximum(dr.select(near, place.depth, depth), 0.0), near
 
-    def way(
-        self,
-        s: State,
-        place: Place,
-        flight: Flight,
-        normal: Any,
-        depth: Any,
-        near: Any,
-        eta: Any,
-        toward: Any,
-        goes: Any,
-    ) -> Way:
+    def way(self, s: State, normal: Any, depth: Any, near: Any, eta: Any, goes: Any) -> Way:
         """Find where a lamp's light enters to come to a place inside."""
-        dr, mi, m = self.dr, self.mi, self.m
-        if self.k.medium is not None and len(self.k.shapes) > 1:
-            return self.through(s, normal, toward, goes)
+        dr, mi, m, aim = self.dr, self.mi, self.m, s.aim
+        if self.k.interfaces > 1:
+            return self.through(s, normal, goes)
         field = self.flights.field
-        lamp = toward(s.p + normal * depth)
-        inside, out, cosine = self.bend(lamp, normal, eta)
-        good = out > 0.0
         deep = goes & ~near
+        lamp = self.toward(aim, s.p + normal * depth)
+        inside, out, cosine = self.bend(lamp, normal, eta)
         if field is not None:
             y = s.p + inside * (depth * dr.rcp(dr.maximum(cosine, 1e-3)))
             _, inward = field.look(y, deep)
-            bent = dr.select(near, normal, -inward)
-            lamp = toward(y)
-            inside, out, cosine = self.bend(lamp, bent, eta)
-            y = s.p + inside * (depth * dr.rcp(dr.maximum(cosine, 1e-3)))
-            normal = bent
-            good = out > 0.0
+            normal = dr.select(near, normal, -inward)
         else:
-            hit = self.k.hit_surface(s.p, inside, deep)
-            y, bent = hit.si.p, hit.normal
-            lamp = toward(y)
-            inside, out, cosine = self.bend(lamp, dr.select(hit.body, bent, normal), eta)
-        hit = self.k.hit_surface(s.p, inside, deep)
-        good &= ~deep | (hit.body & ~hit.outward)
-        y = dr.select(deep, hit.si.p, y)
-        normal = dr.select(deep, hit.normal, normal)
-        lamp = toward(y)
+            hit = self.k.surface.meet(mi.Ray3f(s.p, inside), deep)
+            y, normal = hit.p, dr.select(hit.body, hit.normal, normal)
+        lamp = self.toward(aim, y)
         inside, out, cosine = self.bend(lamp, normal, eta)
-        path = dr.select(deep, hit.t, depth * dr.rcp(dr.maximum(cosine, 1e-3)))
+        hit = self.k.surface.meet(mi.Ray3f(s.p, inside), deep)
+        good = ~deep | (hit.body & ~hit.outward)
+        flat = depth * dr.rcp(dr.maximum(cosine, 1e-3))
+        y = dr.select(deep, hit.p, s.p + inside * flat)
+        normal = dr.select(deep, hit.normal, normal)
+        lamp = self.toward(aim, y)
+        inside, out, cosine = self.bend(lamp, normal, eta)
+        path = dr.select(deep, hit.t, flat)
         sine = 1.0 - dr.square(dr.dot(lamp, normal))
         cosines = []
         for r in range(self.regions):
@@ -226,56 +257,57 @@ class Peel:
                 high = dr.maximum(dr.minimum(depth, m.top[k + 1]) - top, 0.0)
                 legs.append(high * dr.rcp(dr.maximum(cosines[owner[k]], 1e-3)))
                 rest = rest - legs[k]
-            own = [flight.layer == k for k in range(m.m.layers)]
+            own = [s.meeting.layer == k for k in range(m.m.layers)]
             legs = [dr.maximum(x + dr.select(deep & o, rest, 0.0), 0.0) for x, o in zip(legs, own, strict=True)]
         else:
             legs = [path]
-        return Way(y, inside, normal, lamp, good & (out > 0.0), path, legs, cosines, hit.si)
+        return Way(y, inside, normal, lamp, good & (out > 0.0), path, legs, cosines, hit)
 
-    def through(self, s: State, normal: Any, toward: Any, goes: Any) -> Way:
+    def through(self, s: State, normal: Any, goes: Any) -> Way:
         """The same through nested surfaces, each met in its turn."""
         dr, mi = self.dr, self.mi
-        lamp = toward(s.p)
+        lamp = self.toward(s.aim, s.p)
         for _ in range(2):
             legs: list[Any] = []
             cosines: list[Any] = []
             y, good, path = s.p, goes, mi.Float(0.0)
-            first, si, found = mi.Vector3f(0.0), None, normal
+            first, found = mi.Vector3f(0.0), normal
             for r in reversed(range(self.regions)):
                 ratio = self.ratio(s, mi.UInt32(r), goes)
                 inside, out, cosine = self.bend(lamp, normal, ratio)
                 here = good & (s.medium - 1 >= r) & (out > 0.0)
-                hit = self.k.hit_surface(y, inside, here)
+                hit = self.k.surface.meet(mi.Ray3f(y, inside), here)
                 good &= ~here | (hit.body & ~hit.outward & (hit.interface == r))
                 good &= out > 0.0
                 first = dr.select(s.medium - 1 == r, inside, first)
-                y = dr.select(here, hit.si.p, y)
+                y = dr.select(here, hit.p, y)
                 legs.insert(0, dr.select(here, hit.t, 0.0))
                 cosines.insert(0, cosine)
                 path = path + legs[0]
-                si, found = hit.si, dr.select(here, hit.normal, found)
+                last, found = hit, dr.select(here, hit.normal, found)
             normal = dr.select(good, found, normal)
-            lamp = toward(y)
-        return Way(y, first, normal, lamp, good, path, legs, cosines, si)
+            lamp = self.toward(s.aim, y)
+        return Way(y, first, normal, lamp, good, path, legs, cosines, last)
 
-    def spread(self, way: Way, lamp: Any, c2: Any, distant: Any, far: Any, eta: Any, near: Any) -> Any:
+    def spread(self, way: Way, c2: Any, distant: Any, far: Any, eta: Any, near: Any, active: Any) -> Any:
         """Solid angle inside for one of the lamp's: of direction if it is distant, of area at it if not."""
         dr, mi = self.dr, self.mi
-        n, si = way.normal, way.si
+        n, lamp = way.normal, way.lamp
+        du, dv, turn_u, turn_v = self.k.surface.curvature(way.hit, active & ~near)
         c1 = dr.safe_sqrt(1.0 - (1.0 - c2 * c2) * dr.square(dr.rcp(eta)))
         along = lamp - n * c2
         length = dr.squared_norm(along)
         other, _ = mi.coordinate_system(n)
         t = dr.select(length > 1e-8, along * dr.rsqrt(dr.maximum(length, 1e-12)), other)
         b = dr.cross(n, t)
-        uu, uv, vv = dr.squared_norm(si.dp_du), dr.dot(si.dp_du, si.dp_dv), dr.squared_norm(si.dp_dv)
+        uu, uv, vv = dr.squared_norm(du), dr.dot(du, dv), dr.squared_norm(dv)
         determinant = uu * vv - uv * uv
         flat = near | (determinant <= 0.0)
         inverse = dr.rcp(dr.select(flat, 1.0, determinant))
 
         def turned(v: Any) -> Any:
-            p, q = dr.dot(v, si.dp_du), dr.dot(v, si.dp_dv)
-            return (si.dn_du * (vv * p - uv * q) + si.dn_dv * (uu * q - uv * p)) * inverse
+            p, q = dr.dot(v, du), dr.dot(v, dv)
+            return (turn_u * (vv * p - uv * q) + turn_v * (uu * q - uv * p)) * inverse
 
         dt, db = turned(t), turned(b)
         gain = dr.select(flat, 0.0, way.path * (c2 - eta * c1))

@@ -5,6 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+WALK, MET, TURN, BARRIER, CAST, LOST, ASK, OUT, END = range(9)
+"""What a lane is to do next: fly on inside; meet what it came to; be turned there; cross an interface told by depth;
+see whether the surface is in the way of its flight; leave, as it finds itself outside; ask for a lamp; follow a ray
+outside; turn to its next path. The first four are the stroll's, all others cast rays or weigh light."""
+
+QUIET = BARRIER
+
 
 @dataclass
 class Ledger:
@@ -61,6 +68,44 @@ class Place:
 
 
 @dataclass
+class Meeting:
+    """A meeting that is not over yet.
+
+    Attributes
+    ----------
+    layer, within
+        Its layer, and the path in it since the last draw.
+    code, g, base
+        How what was met scatters: see `livlab.model.tracer.medium.Medium`.
+    chance
+        With which the lamp was asked for.
+    """
+
+    layer: Any
+    within: Any
+    code: Any
+    g: Any
+    base: Any
+    chance: Any
+
+
+@dataclass
+class Aim:
+    """The lamp that a path's meetings ask: which one, the sample of its surface, and where that lies.
+
+    Attributes
+    ----------
+    spot
+        Place of the sample, or the direction to a distant lamp.
+    """
+
+    lamp: Any
+    sample: Any
+    spot: Any
+    distant: Any
+
+
+@dataclass
 class State:
     """A lane: its random numbers, its place in the picture, and the path it follows.
 
@@ -70,10 +115,16 @@ class State:
         Row of the film, and which of the row's samples.
     medium
         0 outside, else the region of the tissue plus one.
+    pending
+        What it is to do next.
+    tau
+        Optical depth of the flight that waits for a ray cast.
     fresh
         The path is still the camera's own ray.
     covered
         Lights were asked for at the last scattering, so that a light met now was counted.
+    bounce
+        What the next light met needs to know of the last object: see `livlab.model.tracer.objects`.
     """
 
     stream: Any
@@ -81,9 +132,13 @@ class State:
     turn: Any
     hero: Any
     medium: Any
+    pending: Any
+    tau: Any
     p: Any
     d: Any
     place: Place
+    meeting: Meeting
+    aim: Aim
     ledger: Ledger
     fresh: Any
     covered: Any
