@@ -53,7 +53,7 @@ def pixels(camera: Camera, directions: FloatArray) -> FloatArray:
 
 
 def _lift(camera: Camera) -> tuple[float, FloatArray]:
-    return 0.5 * max(camera.width, camera.height), np.array([camera.width - 1, camera.height - 1]) / 2
+    return 2.0 * max(camera.width, camera.height), np.array([camera.width - 1, camera.height - 1]) / 2
 
 
 def tangents(axis: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -130,11 +130,16 @@ def refuse_flattened(image: FloatArray, camera: Camera, cone: Cone) -> None:
     points = points[np.isfinite(points[:, 0])]
     if len(points) < 20:
         return
-    d = rays(camera, points)
-    e1, e2 = tangents(cone.axis)
-    x, y = d @ e1 / (d @ cone.axis), d @ e2 / (d @ cone.axis)
+    if camera.orthographic:  # a sphere draws a plain circle
+        x, y = (points - circle_of(camera, cone.axis, cone.half_angle)[:2]).T
+        size = radius
+    else:
+        d = rays(camera, points)
+        e1, e2 = tangents(cone.axis)
+        x, y = d @ e1 / (d @ cone.axis), d @ e2 / (d @ cone.axis)
+        size = np.tan(cone.half_angle)
     phi = np.arctan2(y, x)
-    inverse = np.tan(cone.half_angle) ** 2 / (x**2 + y**2)
+    inverse = size**2 / (x**2 + y**2)
     basis = np.column_stack([np.ones_like(phi), *(f(k * phi) for k in (1, 2) for f in (np.cos, np.sin))])
     weight = np.ones(len(phi))
     for _ in range(30):

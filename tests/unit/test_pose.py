@@ -202,3 +202,14 @@ def test_near_chooses_one_of_two():
 def test_radius_is_asked_for():
     with pytest.raises(InputError, match="measure the sphere"):
         sphere_pose(disc(90, 80, 50, 50), camera())
+
+
+def test_a_sphere_that_fills_an_orthographic_frame_is_found() -> None:
+    camera = Camera(247, 247, np.array([[4.6, 0.0, 123.0], [0.0, 4.6, 123.0], [0.0, 0.0, 1.0]]), orthographic=True)
+    v, u = np.mgrid[0:247, 0:247]
+    dark = np.clip(np.hypot(u - 123.2, v - 122.9) - 115.0 + 0.5, 0.0, 1.0)
+    found = sphere_pose(dark, camera, 25.0, kind="silhouette")
+    assert found.circle_px == pytest.approx((123.2, 122.9, 115.0), abs=0.05)
+    squeezed = np.clip(np.hypot(u - 123.2, (v - 122.9) / 0.96) - 115.0 + 0.5, 0.0, 1.0)
+    with pytest.raises(InputError, match="ellipse"):
+        sphere_pose(squeezed, camera, 25.0, kind="silhouette")
