@@ -132,6 +132,7 @@ class Kernel:
                 dr.full(mi.Bool, True, n),
                 dr.full(mi.Bool, False, n),
                 (),
+                [zero() for _ in range(self.width)],
                 none(),
                 none(),
             ),
@@ -196,21 +197,23 @@ class Kernel:
         if self.flights is not None and flight is not None:
             asks = s.pending == ASK
             asked = self.peel.ask(s, asks) if self.peel is not None else None
-            self.weigh(film, s, seen, asked)
+            self.weigh(s, seen, asked)
             s.pending = dr.select(asks, TURN, s.pending)
             s = self.arrive(s, flight, hit)
         else:
-            self.deposit(film, s, [s.ledger.common * x for x in seen])
+            self.deposit(s, [s.ledger.common * x for x in seen])
         s.steps = s.steps + 1
         late = (s.steps >= self.max_steps) & (s.pending != END)
         s.troubles = s.troubles + dr.select(late, mi.UInt32(1), 0)
-        return self.next(s, late | (s.pending == END))
+        return self.next(s, film, late | (s.pending == END))
 
-    def next(self, s: State, done: Any) -> State:
-        """Turn to the lane's next sample."""
+    def next(self, s: State, film: Any, done: Any) -> State:
+        """Turn to the lane's next sample; what a row has seen is written once, when its last is done."""
         dr, mi = self.dr, self.mi
         turn = s.turn + dr.select(done, mi.UInt32(1), 0)
         over = turn >= self.samples
+        keep_row(mi, dr, film, s.light, s.row, self.padded, over)
+        s.light = [dr.select(over, 0.0, x) for x in s.light]
         s.turn = dr.select(over, 0, turn)
         s.row = s.row + dr.select(over, self.lanes, 0)
         return self.renew(s, done)
@@ -288,7 +291,7 @@ class Kernel:
             parts = self.flights.lengths(flight, path)
             s.ledger.lengths = [x + y for x, y in zip(s.ledger.lengths, parts, strict=True)]
 
-    def weigh(self, film: Any, s: State, seen: list[Any], asked: Asked | None) -> None:
+    def weigh(self, s: State, seen: list[Any], asked: Asked | None) -> None:
         """Weigh what light was met, or reaches a meeting from a lamp, at every wavelength, and add it to the film."""
         dr, m = self.dr, self.medium
         assert m is not None
@@ -299,13 +302,17 @@ class Kernel:
         else:
             weight = m.weights(s.ledger, asked.extra, asked.lengths, asked.met)
             value = [dr.select(asked.active, x, y) for x, y in zip(asked.strength, seen, strict=True)]
-        self.deposit(film, s, [s.ledger.common * w * x for w, x in zip(weight, value, strict=True)])
+        self.deposit(s, [s.ledger.common * w * x for w, x in zip(weight, value, strict=True)])
 
-    def deposit(self, film: Any, s: State, value: Sequence[Any]) -> None:
-        """Add light to the row of the film that only this lane writes."""
-        dr, mi = self.dr, self.mi
-        some = mi.Bool(False)
-        for x in value:
-            some |= x != 0.0
-        for w, x in enumerate(value):
-            dr.scatter_add(film, x, s.row * self.padded + w, some, mode=dr.ReduceMode.NoConflicts)
+    def deposit(self, s: State, value: Sequence[Any]) -> None:
+        """Add light to what the lane's row has seen."""
+        s.light = [x + y for x, y in zip(s.light, value, strict=True)]
+
+
+def keep_row(mi: Any, dr: Any, film: Any, light: Sequence[Any], row: Any, padded: int, over: Any) -> None:
+    """Write a row of the film."""
+    if padded == 1:
+        dr.scatter(film, light[0], row, over)
+        return
+    values = mi.ArrayXf([*light, *[mi.Float(0.0) + 0.0 * light[0]] * (padded - len(light))])
+    dr.scatter(film, values, row, over)

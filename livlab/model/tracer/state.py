@@ -123,6 +123,8 @@ class State:
         The path is still the camera's own ray.
     covered
         Lights were asked for at the last scattering, so that a light met now was counted.
+    light
+        What the row has seen, a value a wavelength.
     bounce
         What the next light met needs to know of the last object: see `livlab.model.tracer.objects`.
     """
@@ -143,5 +145,6 @@ class State:
     fresh: Any
     covered: Any
     bounce: Any
+    light: Any
     steps: Any
     troubles: Any
