@@ -29,7 +29,7 @@ COSTS = (
 def srgb_hex(rgb: np.ndarray) -> str:
     """A linear sRGB colour as a screen takes it.
 
-    >>> srgb_hex(np.array([1.0, 0.0, 0.2140411]))
+    >>> srgb_hex(np.array([1.0, 0.0, 0.21586]))
     '#ff0080'
     """
     coded = np.rint(255 * encode_srgb(np.clip(np.asarray(rgb, dtype=np.float64), 0.0, 1.0))).astype(int)
