@@ -19,12 +19,11 @@ from livlab.model.tissue.stack import OpticalStack
 from livlab.study.picture_claims import Key, Seen, judge
 from livlab.study.picture_colour import ColourRoute, colour_routes, mean_colour
 from livlab.study.picture_files import label, preview, write_pictures, write_tables
-from livlab.study.picture_plan import plan_picture
+from livlab.study.picture_plan import PicturePlan, plan_picture
 from livlab.study.spectral import reading_seed
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
-    from livlab.model.effects.plan import Plan
     from livlab.runs_work import Run
 
 SAVE_EVERY_SECONDS = 10.0
@@ -68,7 +67,7 @@ class Work:
     routes: dict[str, ColourRoute]
     stacks: dict[Key, OpticalStack]
     curves: dict[Key, OpticalStack]
-    plans: dict[Key, Plan]
+    plans: dict[Key, PicturePlan]
     camera: Photographer
     make_camera: Callable[[PictureExperiment], Photographer]
     costs: list[dict[str, object]] = field(default_factory=list)
@@ -140,12 +139,9 @@ def _work(run: Run, work: Work) -> None:
     for key in keys:
         stack = work.stacks[key]
         if key in work.plans:
-            plan = work.plans[key]
-            stack = plan.reduced.stack
-            if plan.dropped:
-                run.note(
-                    f"{label(key)}: left out {', '.join(plan.dropped)}; flat layers move by at most {plan.bound:.2g}."
-                )
+            stack = work.plans[key].stack
+            if work.plans[key].told:
+                run.note(f"{label(key)}: {work.plans[key].told}")
         films[key] = _picture(run, work, key, stack)
     for note in work.camera.notes:
         run.note(note)

@@ -92,7 +92,7 @@ def _stack(config: PictureExperiment, work: Work, way: str, reading: str, stack:
     if way != "planned":
         return stack
     asked = config.model_copy(update={"effects": config.effects or EffectsConfig()})
-    return plan_picture(asked, config.tissue.build(), work.reading(reading), stack).reduced.stack
+    return plan_picture(asked, config.tissue.build(), work.reading(reading), stack).stack
 
 
 def _take(

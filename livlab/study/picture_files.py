@@ -95,7 +95,7 @@ def write_tables(run: Run, work: Work, films: Mapping[Key, Film], pictures: Mapp
     if work.plans:
         from livlab.model.effects.plan import COLUMNS
 
-        rows = [{"reading": label(key), **row} for key, plan in work.plans.items() for row in plan.records()]
+        rows = [{"reading": label(key), **row} for key, plan in work.plans.items() for row in plan.plan.records()]
         made["plan.csv"] = (("reading", *COLUMNS), rows)
     for name, (columns, content) in made.items():
         run.write_table(name, columns, content)

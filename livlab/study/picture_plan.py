@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from livlab.acquire.instruments import HyperspectralCamera
 from livlab.config_picture import PictureExperiment
@@ -14,8 +17,41 @@ from livlab.model.tissue.tissue import Tissue
 if TYPE_CHECKING:
     from livlab.model.effects.plan import Plan
 
+LOOKED_AT = 5
+"""Wavelengths that are planned for, spread evenly over the picture's: each is worked out once an effect."""
 
-def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, stack: OpticalStack) -> Plan:
+
+@dataclass(frozen=True)
+class PicturePlan:
+    """A plan, and the stack that follows from it at all of the picture's wavelengths.
+
+    Attributes
+    ----------
+    plan
+        Made at some of the wavelengths.
+    wavelength_nm
+        Those.
+    stack
+        What is simulated.
+    """
+
+    plan: Plan
+    wavelength_nm: tuple[float, ...]
+    stack: OpticalStack
+
+    @property
+    def told(self) -> str:
+        """One sentence: what is left out, and how far that moves flat layers; empty if nothing is."""
+        if not self.plan.dropped:
+            return ""
+        at = ", ".join(f"{x:g}" for x in self.wavelength_nm)
+        return (
+            f"left out {', '.join(self.plan.dropped)}; by the plan the radiance factor of flat layers moves by at most "
+            f"{self.plan.bound:.2g} (bounds at {at} nm)."
+        )
+
+
+def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, stack: OpticalStack) -> PicturePlan:
     """The plan for flat layers of a tissue that a camera sees; a body that is thin or lit from behind is beyond it.
 
     Raises
@@ -23,13 +59,17 @@ def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, st
     InputError
         The experiment asks for no plan.
     """
-    from livlab.model.effects.plan import plan
+    from livlab.model.effects.catalogue import catalogue
+    from livlab.model.effects.plan import plan, without
+    from livlab.model.effects.scene import Scene
 
     asked = config.effects
     if asked is None:
         raise InputError.of("effects", None, "asks for no plan", "Write effects = 'auto'.")
-    return plan(
-        stack,
+    count = len(stack.wavelength_nm)
+    looked_at = np.unique(np.linspace(0, count - 1, min(LOOKED_AT, count)).round().astype(int)).tolist()
+    made = plan(
+        stack.at(looked_at),
         HyperspectralCamera(),
         asked.tolerance,
         asked.forced,
@@ -39,3 +79,6 @@ def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, st
         reading=reading,
         literal=config.sampling.estimator == "analog",
     )
+    scene = Scene(stack, HyperspectralCamera())
+    reduced = without(scene, catalogue(scene, tissue, reading), frozenset(made.dropped)).stack
+    return PicturePlan(made, tuple(float(x) for x in stack.wavelength_nm[looked_at]), reduced)
