@@ -209,7 +209,7 @@ def _load(stream: BinaryIO, suffix: str, name: str) -> TriangleMesh:
 
 def merged(mesh: TriangleMesh) -> TriangleMesh:
     """One vertex where several have the same coordinates to the last bit; unused ones go."""
-    used = np.unique(mesh.faces)
+    used = np.flatnonzero(np.bincount(mesh.faces.reshape(-1), minlength=len(mesh.vertices)))
     order = np.lexsort(mesh.vertices[used].T)
     points = mesh.vertices[used][order]
     new = np.ones(len(points), dtype=bool)
