@@ -71,7 +71,7 @@ def inset(mesh: TriangleMesh, thickness_mm: float, how: How = "distance", *, spa
     how
         "distance": the surface at this distance from the mesh, by marching cubes in the distance field and then, vertex
         by vertex, in exact distance. "normal": each vertex moved against its normal. "scale": the mesh shrunk about the
-        centre of its volume (Nunes 2019, sect. 6.5), by 1 - t A / (3 V), which makes the shell's mean thickness t
+        centre of its volume (Nunes 2019, Fig. 6.5), by 1 - t A / (3 V), which makes the shell's mean thickness t
         because the mean of (x - c) · n over a closed surface is 3 V / A; elsewhere it is thicker or thinner.
     spacing_mm
         Of the distance field: unless said a third of the thickness, between a 280th and a 100th of the largest
