@@ -115,7 +115,7 @@ class Camera:
         left = max(1, spp // film.batch)
         while left:
             batches = min(left, tracer.most_rows())
-            seen = tracer.launch(batches, film.batch, seed, film.passes)
+            seen = np.array(tracer.film(batches, film.batch, seed, film.passes))
             add(film, seen, batches, tracer.padded, self._lit_pixels)
             left -= batches
         film.compile_seconds += tracer.compile_seconds - compiled

@@ -79,6 +79,8 @@ def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any
     after = dr.select(upwards, interface, interface + 1)
     s.medium = dr.select(through, after, s.medium)
     s.covered &= ~(any_ & reflects) & ~enters
+    if kernel.objects is not None:
+        s.bounce.density = dr.select(any_, 0.0, s.bounce.density)
     if kernel.field:
         # At the surface its depth is known: nothing to look up.
         place.depth = dr.select(any_, 0.0, place.depth)

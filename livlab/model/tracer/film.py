@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -49,13 +48,10 @@ class Film:
         """Samples a pixel so far."""
         return self.rows * self.row_samples
 
-    def add(self, values: Any, rows: int, padded: int) -> None:
-        """Add a launch: (row, pixel, padded wavelength) sums of each row, in single precision."""
-        seen = values.reshape(rows, len(self.total), padded)
-        for row in seen:
-            mean = row[:, : len(self.wavelength_nm)] * (1.0 / self.row_samples)
-            self.total += mean
-            self.squares += np.square(mean, dtype=np.float64)
+    def add(self, total: FloatArray, squares: FloatArray, rows: int) -> None:
+        """Add a launch: (pixel, W) sums over its rows, and of their squares."""
+        self.total += total
+        self.squares += squares
         self.rows += rows
         self.passes += 1
 
@@ -119,7 +115,7 @@ def row_samples(samples: int) -> int:
     """Samples of a row: a divisor of all, so that rows stay many enough to tell the error, few enough to keep.
 
     >>> [row_samples(n) for n in (1, 8, 128, 1000, 127)]
-    [1, 1, 8, 10, 1]
+    [1, 1, 4, 10, 1]
     """
-    most = min(max(1, samples // 16), 16)
+    most = min(max(1, samples // 32), 16)
     return max(k for k in range(1, most + 1) if samples % k == 0)

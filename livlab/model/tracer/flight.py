@@ -163,7 +163,8 @@ class Flights:
             holds = walks & ~casts & (~far | proved)
             path = dr.select(holds, flight.reach, dr.maximum(dr.minimum(place.trust, flight.reach), 0.0))
         else:
-            casts = far & ~proved
+            # What the grid takes to be outside may be inside by a sharp edge: a ray tells.
+            casts = (far & ~proved) | (looks & blind & (depth < -self.slack) & (dr.dot(s.d, inward) < 0.0))
             holds = walks & ~blind & ~casts
             path = dr.select(holds, flight.reach, 0.0)
         path = dr.select(walks & ~casts, path, 0.0)

@@ -15,6 +15,7 @@ from livlab.model.tracer.crossing import cross
 from livlab.model.tracer.flight import Flight, Flights
 from livlab.model.tracer.lights import Lights
 from livlab.model.tracer.medium import NONE, Medium
+from livlab.model.tracer.objects import Objects, others
 from livlab.model.tracer.peel import Asked, Peel
 from livlab.model.tracer.state import (
     ASK,
@@ -75,18 +76,22 @@ class Kernel:
         size: float,
         estimator: str,
         max_steps: int,
+        within: bool = True,
     ) -> None:
         self.d, self.mi, self.dr, self.scene = d, mi, d.dr, scene
         self.medium, self.flights, self.lights = medium, flights, lights
         self.surface = Surface(d, mi, scene, shapes)
         self.interfaces = len(shapes)
         self.camera = camera
+        self.within = within
         self.max_steps = d.dr.opaque(mi.UInt32, max_steps)
         self.least = d.dr.opaque(mi.Float, 0.01 * CREEP * size)
         self.width = len(lights.wavelengths)
         self.padded = lights.padded
         self.analog = estimator == "analog"
         self.peel = Peel(self, size) if medium is not None and lights.lamps else None
+        found = others(mi, scene, shapes)
+        self.objects = Objects(self, found) if found else None
         self.forces = medium is not None and medium.lossy and not self.analog
         self.short = medium is not None and medium.short
         self.field = flights is not None and flights.field is not None
@@ -111,6 +116,8 @@ class Kernel:
             ledger.first = none() if m.first else ()
             meeting.layer = none()
             meeting.within = zero() if m.short else ()
+        if self.objects is not None:
+            ledger.carried = [zero() + 1.0 for _ in range(self.width)]
         if self.peel is not None:
             meeting = Meeting(meeting.layer, meeting.within, zero(), zero(), zero(), zero())
             aim = Aim(none(), dr.zeros(mi.Point2f, n), dr.zeros(mi.Point3f, n), dr.full(mi.Bool, False, n))
@@ -131,7 +138,7 @@ class Kernel:
                 ledger,
                 dr.full(mi.Bool, True, n),
                 dr.full(mi.Bool, False, n),
-                (),
+                self.objects.start(n) if self.objects is not None else (),
                 [zero() for _ in range(self.width)],
                 none(),
                 none(),
@@ -152,6 +159,9 @@ class Kernel:
         s.fresh, s.covered = s.fresh | done, s.covered & ~done
         ledger = s.ledger
         ledger.common = choose(1.0, ledger.common)
+        if self.objects is not None:
+            ledger.carried = [choose(1.0, x) for x in ledger.carried]
+            s.bounce.density, s.bounce.count = choose(0.0, s.bounce.density), choose(0, s.bounce.count)
         if m is not None:
             ledger.lengths = [choose(0.0, x) for x in ledger.lengths]
             ledger.counts = [choose(0.0, x) for x in ledger.counts]
@@ -192,14 +202,20 @@ class Kernel:
         ray.maxt = longest
         hit = self.surface.meet(ray, cast)
         out = s.pending == OUT
-        seen = self.lights.seen(s, out & ~hit.valid, out & hit.other & ~s.covered, hit)
+        met = out & hit.other
+        seen = self.lights.seen(s, out & ~hit.valid, met & ~s.covered, hit)
         s.pending = dr.select(out & (~hit.valid | hit.other), END, s.pending)
+        if self.objects is not None:
+            share = self.objects.share(s, hit, out & (~hit.valid | hit.other))
+            seen = [x * y * share for x, y in zip(seen, s.ledger.carried, strict=True)]
+            lit, s = self.objects.meet(s, hit, met)
+            seen = [x + y for x, y in zip(seen, lit, strict=True)]
         if self.flights is not None and flight is not None:
             asks = s.pending == ASK
             asked = self.peel.ask(s, asks) if self.peel is not None else None
             self.weigh(s, seen, asked)
             s.pending = dr.select(asks, TURN, s.pending)
-            s = self.arrive(s, flight, hit)
+            s = self.arrive(s, flight, hit, out)
         else:
             self.deposit(s, [s.ledger.common * x for x in seen])
         s.steps = s.steps + 1
@@ -218,11 +234,11 @@ class Kernel:
         s.row = s.row + dr.select(over, self.lanes, 0)
         return self.renew(s, done)
 
-    def arrive(self, s: State, flight: Flight, hit: Hit) -> State:
+    def arrive(self, s: State, flight: Flight, hit: Hit, outside: Any) -> State:
         """Take lanes to what their ray has met, or to the end of their flight, and across an interface there."""
         dr, mi, flights = self.dr, self.mi, self.flights
         assert flights is not None
-        inside, outside, lost = s.pending == CAST, s.pending == OUT, s.pending == LOST
+        inside, lost = s.pending == CAST, s.pending == LOST
         near = inside & hit.valid & (hit.t <= flight.reach)
         exits = near & hit.body & self.leaves(s, hit)
         stray = near & ~exits
@@ -239,8 +255,9 @@ class Kernel:
         path = dr.select(goes, path, over)
         whole = goes & ~near
         enters = outside & hit.body & hit.outward
-        passes = outside & hit.body & ~hit.outward & ~s.fresh
-        begins = outside & hit.body & ~hit.outward & s.fresh
+        # A camera may stand inside; at a silhouette even one outside sees a facet's back.
+        begins = outside & hit.body & ~hit.outward & s.fresh & mi.Bool(self.within)
+        passes = outside & hit.body & ~hit.outward & ~begins
         self.account(s, flight, path)
         s.place = flights.moved(s.place, flight, path)
         if self.field and not flights.layered:
@@ -301,7 +318,10 @@ class Kernel:
             value = seen
         else:
             weight = m.weights(s.ledger, asked.extra, asked.lengths, asked.met)
-            value = [dr.select(asked.active, x, y) for x, y in zip(asked.strength, seen, strict=True)]
+            lamp = asked.strength
+            if self.objects is not None:
+                lamp = [x * y for x, y in zip(lamp, s.ledger.carried, strict=True)]
+            value = [dr.select(asked.active, x, y) for x, y in zip(lamp, seen, strict=True)]
         self.deposit(s, [s.ledger.common * w * x for w, x in zip(weight, value, strict=True)])
 
     def deposit(self, s: State, value: Sequence[Any]) -> None:

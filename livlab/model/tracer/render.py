@@ -2,30 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from livlab.errors import InputError
+from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.body import Body
 from livlab.model.tracer.film import Film, row_samples
 from livlab.model.tracer.tracer import VARIANT, Tracer
+from livlab.model.transport.accuracy import Accuracy
+from livlab.units import FloatArray
+
+MOST_SPP = 1 << 20
+"""Samples a pixel after which an accuracy that is not met is given up."""
+
+LAUNCH_PATHS = 1 << 22
+"""Paths of a launch, the grain of progress: a few seconds of work."""
+
+_KEPT = 2
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a picture is.
+
+    Attributes
+    ----------
+    done
+        Share of the samples; with an accuracy, of those it seems to need.
+    samples
+        A pixel so far.
+    seconds, seconds_left
+        Spent, and left at the present speed.
+    error
+        Median over the body's pixels and the wavelengths of the error relative to the radiance; NaN if unknown.
+    """
+
+    done: float
+    samples: int
+    seconds: float
+    seconds_left: float
+    error: float
 
 
 def render(
     scene: Mapping[str, Any] | Any,
-    wavelengths_nm: Sequence[float],
+    wavelengths_nm: Sequence[float] | FloatArray,
     *,
     body: Body | None = None,
-    spp: int = 16,
+    spp: int | None = None,
     seed: int = 0,
+    accuracy: Accuracy | None = None,
     estimator: str = "expected",
+    together: bool = True,
     sensor: int = 0,
     variant: str = VARIANT,
     max_steps: int = 100_000,
+    progress: Callable[[Progress], None] | None = None,
+    preview: Callable[[xr.Dataset], None] | None = None,
+    checkpoint: Callable[[xr.Dataset], None] | None = None,
+    resume: xr.Dataset | None = None,
 ) -> xr.Dataset:
-    """Radiance that a camera sees.
+    """Radiance that a camera sees, with its standard error.
 
     Parameters
     ----------
@@ -37,36 +82,175 @@ def render(
     body
         The tissue; None: a scene without.
     spp
-        Samples a pixel; each serves all wavelengths.
+        Samples a pixel, each of which serves all wavelengths. Default 16, or as many as `accuracy` needs.
     seed
-        Natural number.
+        Natural number; the same seed gives the same picture to the last bit on one machine.
+    accuracy
+        Stop when the median over the body's pixels and all wavelengths of the standard error meets it, relative to
+        the radiance or as it is; or when the time is up. `spp` then is the most.
+    estimator
+        "expected": a path's first meeting in an absorbing layer is survived by weight, and Algorithm 2's factor is
+        its mean. "analog": absorption ends a path, the factor is drawn.
+    together
+        Whether a path serves all wavelengths; if not, each is rendered for itself.
+    sensor
+        Which of the scene's cameras.
+    variant
+        A spectral variant of Mitsuba: "llvm_ad_spectral" or "cuda_ad_spectral".
+    max_steps
+        Steps after which a path is given up (counted in the attribute `given_up`).
+    progress, preview
+        Called after each launch with how far it is, and with the picture so far.
+    checkpoint
+        Called after each launch with all there is to go on from.
+    resume
+        What `checkpoint` was given: the picture ends as it would have without the interruption.
 
     Returns
     -------
     xr.Dataset
-        radiance and its standard error radiance_se on (row, column, wavelength).
+        `radiance` and its standard error `radiance_se` on (row, column, wavelength). Attributes: samples, seed,
+        variant, estimator, seconds, compile_seconds, finished (False after Ctrl-C, which keeps what is done),
+        given_up (paths), strayed (paths found outside that no ray had seen leave), notes (one a line).
+
+    Raises
+    ------
+    InputError
+        An argument out of its bounds, or a resumed state of another picture.
+    EnvironmentProblem
+        The variant cannot run here.
     """
-    tracer = Tracer(
-        scene,
-        np.asarray(wavelengths_nm),
-        body,
-        sensor=sensor,
-        estimator=estimator,
-        variant=variant,
-        max_steps=max_steps,
-    )
-    film = Film(tracer.shape, tracer.wavelengths, row_samples(spp))
-    while film.samples < spp:
-        rows = min(tracer.most_rows(), (spp - film.samples) // film.row_samples)
-        film.add(tracer.launch(rows, film.row_samples, seed, film.passes), rows, tracer.padded)
+    grid = np.asarray(wavelengths_nm, dtype=np.float64)
+    if spp is not None and not 1 <= spp <= MOST_SPP:
+        raise InputError.of("spp", spp, f"must be within [1, {MOST_SPP}]", "Ask for that many samples a pixel.")
+    if seed < 0:
+        raise InputError.of("seed", seed, "must be >= 0", "Give a natural number.")
+    settings = {"sensor": sensor, "estimator": estimator, "variant": variant, "max_steps": max_steps}
+    if not together and len(grid) > 1:
+        if resume is not None or checkpoint is not None:
+            raise InputError.of("together", together, "pictures one by one keep no state", "Render them together.")
+        return _one_by_one(scene, grid, body, settings, spp=spp, seed=seed, accuracy=accuracy)
+    tracer = ready(scene, grid, body, **settings)
+    most = spp or (16 if accuracy is None else MOST_SPP)
+    film = Film(tracer.shape, tracer.wavelengths, row_samples(most))
+    if resume is not None:
+        if int(resume.attrs.get("seed", -1)) != seed:
+            raise InputError.of("resume: seed", resume.attrs.get("seed"), f"is not {seed}", "Start anew.")
+        film.take(resume)
+    seen = tracer.sees_body() if body is not None and (accuracy is not None or progress is not None) else None
+    before, compiled = tracer.seconds, tracer.compile_seconds
+    started, finished, error = time.perf_counter(), True, float("nan")
+    troubles = dict(tracer.troubles)
+    try:
+        while film.samples < most and not _met(film, seen, accuracy, time.perf_counter() - started):
+            per_row = tracer.pixels * film.row_samples
+            rows = max(1, min(tracer.most_rows(), LAUNCH_PATHS // per_row, (most - film.samples) // film.row_samples))
+            film.add(*tracer.launch(rows, film.row_samples, seed, film.passes), rows)
+            if progress is not None:
+                error = median_error(film, seen)
+                spent = time.perf_counter() - started
+                progress(_progress(film.samples, most, spent, error, accuracy))
+            if preview is not None:
+                preview(film.dataset())
+            if checkpoint is not None:
+                state = film.state()
+                state.attrs["seed"] = seed
+                checkpoint(state)
+    except KeyboardInterrupt:
+        if not film.rows:
+            raise
+        finished = False
     out = film.dataset()
+    lost = {key: value - troubles[key] for key, value in tracer.troubles.items()}
     out.attrs = {
         "samples": film.samples,
         "seed": seed,
         "variant": variant,
         "estimator": estimator,
-        "seconds": tracer.seconds,
-        "compile_seconds": tracer.compile_seconds,
-        **tracer.troubles,
+        "seconds": tracer.seconds - before,
+        "compile_seconds": tracer.compile_seconds - compiled,
+        "finished": finished,
+        "notes": "\n".join(body.stack.notes if body is not None else ()),
+        **lost,
     }
     return out
+
+
+_ready: OrderedDict[Any, tuple[Any, Tracer]] = OrderedDict()
+
+
+def ready(scene: Any, wavelengths: FloatArray, body: Body | None, **settings: Any) -> Tracer:
+    """A scene made ready; one that is loaded and comes again is found ready."""
+    if isinstance(scene, Mapping):
+        return Tracer(scene, wavelengths, body, **settings)
+    stack = None if body is None else _digest(body.stack)
+    shape = None if body is None else (body.surfaces, id(body.distances), body.mm_per_unit, body.patch_mm)
+    key = (id(scene), wavelengths.tobytes(), stack, shape, tuple(sorted(settings.items())))
+    if key not in _ready:
+        # What the key names by its address must live as long as the key.
+        _ready[key] = ((scene, body), Tracer(scene, wavelengths, body, **settings))
+        while len(_ready) > _KEPT:
+            _ready.popitem(last=False)
+    _ready.move_to_end(key)
+    return _ready[key][1]
+
+
+def median_error(film: Film, seen: Any) -> float:
+    """Median over pixels (of those `seen`) and wavelengths of the standard error relative to the radiance."""
+    if film.rows < 2:
+        return float("nan")
+    mean, error = film.mean(), film.standard_error()
+    where = mean > 0.0
+    if seen is not None:
+        where &= seen[..., None]
+    return float(np.median(error[where] / mean[where])) if where.any() else float("nan")
+
+
+def _met(film: Film, seen: Any, accuracy: Accuracy | None, seconds: float) -> bool:
+    if accuracy is None or film.rows < 8:
+        return False
+    if accuracy.seconds is not None:
+        return seconds >= accuracy.seconds
+    if accuracy.relative is not None:
+        return median_error(film, seen) <= accuracy.relative
+    error = film.standard_error()
+    of = error[seen] if seen is not None and seen.any() else error
+    return float(np.median(of)) <= float(accuracy.standard_error or 0.0)
+
+
+def _progress(samples: int, most: int, spent: float, error: float, accuracy: Accuracy | None) -> Progress:
+    wanted = float(most)
+    if accuracy is not None and accuracy.relative is not None and np.isfinite(error):
+        wanted = min(wanted, max(samples * (error / accuracy.relative) ** 2, float(samples)))
+    left = spent * (wanted / samples - 1.0)
+    if accuracy is not None and accuracy.seconds is not None:
+        return Progress(min(spent / accuracy.seconds, 1.0), samples, spent, max(accuracy.seconds - spent, 0.0), error)
+    return Progress(min(samples / wanted, 1.0), samples, spent, max(left, 0.0), error)
+
+
+def _one_by_one(scene: Any, grid: FloatArray, body: Body | None, settings: dict[str, Any], **wishes: Any) -> xr.Dataset:
+    parts = []
+    for k, wavelength in enumerate(grid):
+        alone = None
+        if body is not None:
+            alone = Body(body.stack.at([k]), body.surfaces, body.distances, body.mm_per_unit, body.patch_mm)
+        wishes["seed"] = wishes["seed"] + (1 << 20) * (k > 0)
+        parts.append(render(scene, [float(wavelength)], body=alone, **settings, **wishes))
+    out = xr.concat(parts, "wavelength").transpose("row", "column", "wavelength")
+    out.attrs = parts[0].attrs | {
+        key: sum(p.attrs[key] for p in parts) for key in ("seconds", "compile_seconds", "given_up", "strayed")
+    }
+    return out
+
+
+def _digest(stack: OpticalStack) -> int:
+    parts: list[Any] = [stack.wavelength_nm.tobytes(), stack.n_above.tobytes(), stack.n_below.tobytes()]
+    for layer in stack.layers:
+        parts += [layer.thickness_mm, layer.n.tobytes()]
+        for i in layer.interactions:
+            parts += [i.rate.tobytes(), i.albedo.tobytes(), i.redirect, i.absorb_below_mm]
+            with suppress(TypeError):  # a user's own phase function may not be hashable: then it is told by its address
+                parts.append(hash(i.phases))
+                continue
+            parts.append(tuple(id(p) for p in i.phases))
+    return hash(tuple(parts))

@@ -155,7 +155,7 @@ class _Sphere:
 
     def run(self, seed: int, batch: int) -> NDArray[np.float32]:
         """(rows, padded) what each path's film holds."""
-        return self.tracer.launch(1, 1, seed, batch).reshape(self.rows, self.tracer.padded)
+        return np.array(self.tracer.film(1, 1, seed, batch)).reshape(self.rows, self.tracer.padded)
 
 
 def _rays(d: Any, mi: Any, radius: float, distance: float, rows: int) -> Rays:

@@ -19,7 +19,7 @@ from livlab.model.tracer.media import media, padded_width
 from livlab.model.tracer.medium import Medium
 from livlab.model.tracer.variant import mitsuba
 from livlab.model.transport.device import Device
-from livlab.model.transport.rng import uniform
+from livlab.model.transport.rng import streams, uniform
 from livlab.units import FloatArray
 
 VARIANT = "llvm_ad_spectral"
@@ -110,6 +110,7 @@ class Tracer:
             assert shape is not None
             self.shape, cast = shape, rays(d, mi)
         self.pixels = self.shape[0] * self.shape[1]
+        within = body is not None and self._within(cast)
         pixels = dr.opaque(mi.UInt32, self.pixels)
         self.kernel = Kernel(
             d,
@@ -123,16 +124,43 @@ class Tracer:
             size,
             estimator,
             max_steps,
+            within,
         )
         self.troubles = {"given_up": 0, "strayed": 0}
         self.seconds = self.compile_seconds = 0.0
+
+    def _within(self, cast: Rays) -> bool:
+        """Whether a ray may start inside the body: in the box around it."""
+        dr, mi, n = self.dr, self.mi, 4096
+        stream = streams(self.d, n, 0, 0)
+        origin, _ = cast(stream, dr.arange(mi.UInt32, n) % dr.opaque(mi.UInt32, self.pixels))
+        box, inside = self.shapes[0].bbox(), dr.full(mi.Bool, True, n)
+        for axis in range(3):
+            inside &= (origin[axis] >= box.min[axis]) & (origin[axis] <= box.max[axis])
+        return bool(dr.any(inside))
 
     def most_rows(self) -> int:
         """Rows that one launch can hold."""
         return max(1, FILM_BYTES // (4 * self.padded * self.pixels))
 
-    def launch(self, rows: int, samples: int, seed: int, number: int) -> NDArray[np.float32]:
-        """Follow `samples` paths for each of `rows` rows of every pixel: their sums, (row · pixel · padded,)."""
+    def launch(self, rows: int, samples: int, seed: int, number: int) -> tuple[FloatArray, FloatArray]:
+        """Follow `samples` paths for each of `rows` rows of every pixel.
+
+        Returns
+        -------
+        (pixel, W) sum over the rows of their mean radiance, and of its square.
+        """
+        film = self.film(rows, samples, seed, number)
+        started = time.perf_counter()
+        total, squares = self._sums(film, rows, samples)
+        width = len(self.wavelengths)
+        shape = (self.pixels, self.padded)
+        sums = tuple(np.array(x, dtype=np.float64).reshape(shape)[:, :width] for x in (total, squares))
+        self.seconds += time.perf_counter() - started
+        return sums[0], sums[1]
+
+    def film(self, rows: int, samples: int, seed: int, number: int) -> Any:
+        """The launch's film: for each row, pixel and padded wavelength the sum over its samples."""
         dr, mi = self.dr, self.mi
         started = time.perf_counter()
         count = rows * self.pixels
@@ -147,9 +175,36 @@ class Tracer:
         found = np.array(troubles).astype(np.int64)
         self.troubles["given_up"] += int((found & 0xFFFF).sum())
         self.troubles["strayed"] += int((found >> 16).sum())
-        values = np.array(film)
         self.seconds += time.perf_counter() - started
-        return values
+        return film
+
+    def _sums(self, film: Any, rows: int, samples: int) -> tuple[Any, Any]:
+        """Sums over the rows of a film, in double precision: a pixel may have 10⁵ rows."""
+        dr, mi = self.dr, self.mi
+        size = self.pixels * self.padded
+        index = dr.arange(mi.UInt32, size)
+        end = dr.opaque(mi.UInt32, rows * size)
+        step, share = dr.opaque(mi.UInt32, size), dr.opaque(mi.Float64, 1.0 / samples)
+        zero = dr.zeros(mi.Float64, size)
+
+        def add(at: Any, total: Any, squares: Any) -> tuple[Any, Any, Any]:
+            value = mi.Float64(dr.gather(mi.Float, film, at)) * share
+            return at + step, total + value, dr.fma(value, value, squares)
+
+        _, total, squares = dr.while_loop(
+            (index, zero, zero + 0.0), lambda at, *_: at < end, add, label="rows", mode="symbolic"
+        )
+        dr.eval(total, squares)
+        return total, squares
+
+    def sees_body(self) -> NDArray[np.bool_]:
+        """(row, column) pixels in whose middle the camera sees the body."""
+        dr, mi = self.dr, self.mi
+        pixel = dr.arange(mi.UInt32, self.pixels)
+        stream = _Middle(mi)
+        origin, direction = self.kernel.camera(stream, pixel)
+        hit = self.kernel.surface.meet(mi.Ray3f(origin, direction), mi.Bool(True))
+        return np.array(hit.body + dr.zeros(mi.UInt32, self.pixels)).astype(bool).reshape(self.shape)
 
     def _camera(self, sensor: int) -> tuple[tuple[int, int], Rays]:
         mi, dr, d = self.mi, self.dr, self.d
@@ -174,6 +229,17 @@ class Tracer:
             return ray.o, ray.d
 
         return (rows, columns), cast
+
+
+class _Middle:
+    """A random stream that is always in the middle."""
+
+    def __init__(self, mi: Any) -> None:
+        self.mi = mi
+
+    def next_uint32(self) -> Any:
+        """Half of the range."""
+        return self.mi.UInt32(1 << 31)
 
 
 def _device(mi: Any, dr: Any, backend: str) -> Device:
