@@ -20,6 +20,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
 
+from livlab import gpu
 from livlab.llvm import Libllvm, inspect_libllvm, install_command
 from livlab.llvm_probe import VARIABLE
 
@@ -29,7 +30,6 @@ OLDEST_PYTHON = (3, 11)
 ENOUGH_MEMORY_GIB = 4.0
 ENOUGH_DISK_GIB = 1.0
 VARIANT_SECONDS = 60.0
-SMI_SECONDS = 10.0
 LLVM_VARIANTS = ("llvm_ad_mono", "llvm_ad_spectral")
 CUDA_VARIANTS = ("cuda_ad_mono", "cuda_ad_spectral")
 
@@ -210,21 +210,13 @@ def cuda_findings() -> list[Finding]:
     smi = shutil.which("nvidia-smi")
     if smi is None and ctypes.util.find_library("cuda") is None:
         return [Finding("GPU", "note", "no NVIDIA GPU found: everything runs on the processor")]
-    names = _gpu_names(smi) if smi else "a CUDA driver without nvidia-smi"
-    if not names:
+    names = "; ".join(gpu.names())
+    if not names and smi:
         return [
             Finding("GPU", "warning", "nvidia-smi lists no GPU", "Check the NVIDIA driver; the processor serves too.")
         ]
-    return [Finding("GPU", "ok", names), *variant_findings(CUDA_VARIANTS, {}, "warning")]
-
-
-def _gpu_names(smi: str) -> str:
-    command = [smi, "--query-gpu=name,memory.total", "--format=csv,noheader"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SMI_SECONDS, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return "; ".join(done.stdout.strip().splitlines()) if done.returncode == 0 else ""
+    found = names or "a CUDA driver without nvidia-smi (`pip install 'livlab[gpu]'` names the GPU)"
+    return [Finding("GPU", "ok", found), *variant_findings(CUDA_VARIANTS, {}, "warning")]
 
 
 def machine_findings(folder: Path | None = None) -> list[Finding]:

@@ -15,6 +15,7 @@ from livlab.config_fit import FitExperiment, Measurement
 from livlab.config_spectral import Reference
 from livlab.criteria import Claim
 from livlab.errors import InputError, Interrupted
+from livlab.gpu import name_device
 from livlab.study import spectral_tables as tables
 from livlab.study.fit import FitOutcome, fit
 from livlab.study.fit_targets import Target
@@ -121,11 +122,7 @@ def _work(
     known: Sequence[Known],
 ) -> None:
     begun = time.perf_counter()
-    run.info["variant"] = config.variant
-    if config.variant == "llvm":
-        from livlab.llvm import choose_libllvm
-
-        run.info["libllvm"] = choose_libllvm().name
+    name_device(run.info, config.variant)
     run.progress.begin(["fit"])
     fitted = [targets[m.label] for m in config.measurement if m.role == "fit" and m.label in targets]
 

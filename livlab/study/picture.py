@@ -13,6 +13,7 @@ import numpy as np
 
 from livlab.acquire.camera_film import Film
 from livlab.config_picture import PictureExperiment
+from livlab.gpu import name_device
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -130,7 +131,7 @@ def _camera(config: PictureExperiment) -> Photographer:
 
 def _work(run: Run, work: Work) -> None:
     config = work.config
-    _name_device(run, config.sampling.variant)
+    name_device(run.info, config.sampling.variant)
     keys = list(work.stacks)
     tasks = [label(key) for key in keys] + (["baselines"] if config.baselines else [])
     run.progress.begin([*tasks, *(["cost"] if config.cost else [])])
@@ -168,14 +169,6 @@ def _note(run: Run, work: Work) -> None:
             by_text.setdefault(text, []).append(label(key))
     for text, names in by_text.items():
         run.note(text if len(names) == len(work.stacks) > 1 else f"{'; '.join(names)}: {text}")
-
-
-def _name_device(run: Run, variant: str) -> None:
-    run.info["variant"] = variant
-    if variant == "llvm":
-        from livlab.llvm import choose_libllvm
-
-        run.info["libllvm"] = choose_libllvm().name
 
 
 def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> Film:

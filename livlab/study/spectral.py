@@ -15,6 +15,7 @@ from livlab.acquire.instruments import AutoSolver, Instrument, WalkSolver
 from livlab.acquire.spectrometer import Progress, measure
 from livlab.config_spectral import SpectralExperiment
 from livlab.criteria import Claim
+from livlab.gpu import name_device
 from livlab.model.tissue.optics import optical_stack, stack_coefficients
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -100,7 +101,7 @@ def _work(
     costs: list[dict[str, object]],
 ) -> None:
     if isinstance(config.solver, WalkSolver):
-        _name_device(run, config.variant)
+        name_device(run.info, config.variant)
     run.progress.begin(list(stacks))
     pieces: dict[str, xr.Dataset] = {}
     for name, full in stacks.items():
@@ -132,7 +133,7 @@ def _work(
         )
     walked = next((p.attrs["variant"] for p in pieces.values() if p.attrs["variant"] != "none"), None)
     if walked is not None and isinstance(config.solver, AutoSolver):
-        _name_device(run, walked)
+        name_device(run.info, walked)
     _note(run, pieces)
     started = time.perf_counter()
     claims, metrics = judge(config, pieces, references)
@@ -186,15 +187,6 @@ def bench_of(
         seed=config.seed,
         progress=progress,
     )
-
-
-def _name_device(run: Run, variant: str) -> None:
-    """Say in the manifest what walks; fails early where nothing can."""
-    from livlab.llvm import choose_libllvm
-
-    run.info["variant"] = variant
-    if variant == "llvm":
-        run.info["libllvm"] = choose_libllvm().name
 
 
 def _measured(

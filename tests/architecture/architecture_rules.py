@@ -17,6 +17,7 @@ RANKS = {
     "livlab.datasets": 1,
     "livlab.metrics": 1,
     "livlab.criteria": 1,
+    "livlab.gpu": 1,
     "livlab.llvm": 1,
     "livlab.optimise": 1,
     "livlab.llvm_probe": 1,
