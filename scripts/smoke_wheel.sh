@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Build the wheel, install it where no source tree is in sight, and use it.
+# Build the source archive and from it the wheel, install that where no source tree is in sight, and use it.
 # The dependencies are the ones .venv has: only livlab itself is on trial, so nothing is downloaded.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -8,10 +8,14 @@ python=$PWD/.venv/bin/python
 room=$(mktemp -d)
 trap 'rm -rf "$room"' EXIT
 
-"$python" -m build --wheel --no-isolation --outdir "$room/dist" . >"$room/build.log" 2>&1 || {
+"$python" -m build --no-isolation --outdir "$room/dist" . >"$room/build.log" 2>&1 || {
   cat "$room/build.log" >&2
   exit 1
 }
+# What a clean checkout has goes into the archive, what runs and builds left behind does not.
+strays=$(tar tzf "$room"/dist/*.tar.gz | grep -E '/(runs|\.venv|build|dist|site|__pycache__)/' || true)
+[ -z "$strays" ] || { printf 'the source archive holds %s\n' "$strays" >&2; exit 1; }
+
 "$python" -m venv --without-pip "$room/venv"
 "$python" -m pip --disable-pip-version-check --python "$room/venv/bin/python" install -q --no-deps --no-index "$room"/dist/*.whl
 
