@@ -76,7 +76,7 @@ def test_the_bar(pose, alpha, ks):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "pose"),
-    [(rig, pose) for rig in RIGS for pose in ("known", "outline") if pose == "known" or "orthographic" not in rig],
+    [(rig, pose) for rig in RIGS for pose in ("known", "outline")],
 )
 @pytest.mark.parametrize(
     "case",
