@@ -1,6 +1,6 @@
 # The README's commands, and CI's, are these. Each sets up .venv by itself where that is still to do.
 .DEFAULT_GOAL := help
-.PHONY: help setup report test test-all check bench clean
+.PHONY: help setup report test test-all check docs bench clean
 
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
@@ -8,6 +8,8 @@ PYTEST := $(BIN)/python -m pytest
 # Dr.Jit takes every core for its kernels. Whole files go to one worker, so what a file computes once is not repeated.
 WORKERS ?= -n 2 --dist loadfile
 TESTS ?= tests
+# Its theme's makers announce a successor at every build otherwise.
+SITE := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,13 +26,17 @@ test: setup ## the tests that take minutes
 test-all: setup ## those, and the slow ones
 	$(PYTEST) $(WORKERS) -m "" $(TESTS)
 
-check: setup ## lint, formatting, types, doctests, architecture, the installed wheel
+check: setup ## lint, formatting, types, doctests, architecture, the documentation, the installed wheel
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(PYTEST) -q --doctest-modules livlab
 	$(PYTEST) -q tests/architecture
+	$(SITE) --quiet
 	bash scripts/smoke_wheel.sh
+
+docs: setup ## the documentation as a site: build/site/index.html
+	@$(SITE)
 
 bench: setup ## time the cases that the tests check
 	$(BIN)/python -m benchmarks

@@ -1,0 +1,83 @@
+"""What the documentation's build adds to MkDocs: equations as drawings, and the commands' own help as a page.
+
+Both are made while building, from what is installed with livlab. So the site needs no script from elsewhere to show an
+equation, and the page of commands cannot lag behind the commands.
+"""
+
+from __future__ import annotations
+
+import html
+from functools import lru_cache
+from typing import Any
+
+COMMANDS = "<!-- every command, by docs_hooks -->"
+
+
+def on_config(config: Any) -> Any:
+    """Let fenced blocks named `math` be equations, as GitHub does."""
+    fences = config.mdx_configs.setdefault("pymdownx.superfences", {}).setdefault("custom_fences", [])
+    fences.append({"name": "math", "class": "equation", "format": equation})
+    return config
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Put the commands' help where a page asks for it."""
+    return markdown.replace(COMMANDS, commands()) if COMMANDS in markdown else markdown
+
+
+def equation(source: str, *_: Any, **__: Any) -> str:
+    """TeX lines as one SVG each, in the colour of the text around, named by their source for who cannot see them."""
+    return '<div class="equation">' + "<br>".join(map(drawn, filter(str.strip, source.splitlines()))) + "</div>"
+
+
+@lru_cache
+def drawn(tex: str) -> str:
+    """One line of TeX as an SVG whose outlines need no font."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.path import Path
+    from matplotlib.textpath import TextPath
+
+    text = TextPath((0, 0), f"${tex.strip()}$", prop=FontProperties(size=15, math_fontfamily="cm"))
+    box = text.get_extents()
+    letters = {Path.MOVETO: "M", Path.LINETO: "L", Path.CURVE3: "Q", Path.CURVE4: "C", Path.CLOSEPOLY: "Z"}
+    steps = [
+        letters[code] + ("" if code == Path.CLOSEPOLY else " ".join(f"{v:.2f}" for v in points))
+        for points, code in text.iter_segments(simplify=False, curves=True)
+    ]
+    width, height = box.width + 2, box.height + 2
+    return (
+        f'<svg role="img" aria-label="{html.escape(tex.strip())}" width="{width:.0f}" height="{height:.0f}"'
+        f' viewBox="{box.x0 - 1:.1f} {-box.y1 - 1:.1f} {width:.1f} {height:.1f}">'
+        f'<path transform="scale(1 -1)" d="{"".join(steps)}"/></svg>'
+    )
+
+
+def commands() -> str:
+    """Every command with its arguments and options, in Markdown."""
+    from typer.main import get_command
+
+    from livlab.cli.app import app
+
+    return "\n".join(section(get_command(app), "livlab", 2))
+
+
+def section(command: Any, name: str, level: int) -> list[str]:
+    """One command, and those below it."""
+    from typer import Context
+
+    context = Context(command, info_name=name)
+    children = getattr(command, "commands", {})
+    usage = " ".join(command.collect_usage_pieces(context)) if not children else "COMMAND"
+    lines = [f"{'#' * level} `{name}`", "", clean(command.help or ""), "", "```text", f"{name} {usage}", "```", ""]
+    records = [r for p in command.get_params(context) if (r := p.get_help_record(context)) and "--help" not in r[0]]
+    if records and level > 2:
+        lines += ["| | |", "|---|---|"]
+        lines += [f"| `{what.replace('|', chr(92) + '|')}` | {clean(does)} |" for what, does in records] + [""]
+    for child, sub in children.items():
+        lines += section(sub, f"{name} {child}", 3 if level == 2 else 4)
+    return lines
+
+
+def clean(text: str) -> str:
+    """Help text as one Markdown paragraph."""
+    return html.escape(" ".join(text.split()), quote=False).replace("|", "\\|").replace("*", "\\*").replace("[", "\\[")
