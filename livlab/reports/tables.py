@@ -205,13 +205,16 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
             verdict = "MISSING"
         name = str(c["criterion"])
         reason = reasons.get(name, "")
+        digits = _digits(c["reference"], c["tolerance"])
         if verdict == "MISSING" and not reason:
             reason = "the run gave no reason"
         rows.append(
             {
                 "criterion": name,
-                "value": with_error(c["value"], c["standard_error"]),
-                "reference": number(c["reference"]),
+                "value": number(c["value"], digits)
+                if pd.isna(c["standard_error"])
+                else with_error(c["value"], c["standard_error"]),
+                "reference": number(c["reference"], digits),
                 "tolerance": number(c["tolerance"]),
                 "verdict": verdict,
                 "seconds": number(c["seconds"], 3),
@@ -219,6 +222,17 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
             }
         )
     return tuple(rows)
+
+
+def _digits(reference: Any, tolerance: Any) -> int:
+    """Digits that show a number to a tenth of its tolerance, so that the reader can judge the verdict.
+
+    >>> _digits(0.5, 0.05), _digits(1.0, 2e-5), _digits(float("nan"), 0.1)
+    (4, 6, 4)
+    """
+    if pd.isna(reference) or pd.isna(tolerance) or not reference or not tolerance > 0:
+        return 4
+    return min(max(4, math.ceil(math.log10(abs(reference) / tolerance)) + 1), 12)
 
 
 def merge_readings(frame: pd.DataFrame) -> pd.DataFrame:
