@@ -30,7 +30,7 @@ def cross_layers(kernel: Kernel, s: State, barrier: Any) -> State:
     s.d = dr.select(barrier, dr.select(reflects, bounced, bent), s.d)
     _enter(kernel, s, row, reflects, barrier, interface)
     s.medium = dr.select(barrier & ~reflects, dr.select(up, interface, interface + 1), s.medium)
-    s.covered &= ~(barrier & reflects)
+    s.covered = dr.select(barrier & reflects, 0.0, s.covered)
     place.depth = dr.select(barrier, m.pick(interface, m.region_top), place.depth)
     if m.short:
         place.since = dr.select(barrier, 0.0, place.since)
@@ -78,7 +78,7 @@ def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any
     through = any_ & ~reflects
     after = dr.select(upwards, interface, interface + 1)
     s.medium = dr.select(through, after, s.medium)
-    s.covered &= ~(any_ & reflects) & ~enters
+    s.covered = dr.select((any_ & reflects) | enters, 0.0, s.covered)
     if kernel.objects is not None:
         s.bounce.density = dr.select(any_, 0.0, s.bounce.density)
     if kernel.field:

@@ -137,7 +137,7 @@ class Kernel:
                 aim,
                 ledger,
                 dr.full(mi.Bool, True, n),
-                dr.full(mi.Bool, False, n),
+                zero(),
                 self.objects.start(n) if self.objects is not None else (),
                 [zero() for _ in range(self.width)],
                 none(),
@@ -156,7 +156,7 @@ class Kernel:
             s.hero = choose(dr.minimum(mi.UInt32(u * self.width), self.width - 1), s.hero)
         s.p, s.d = choose(origin, s.p), choose(direction, s.d)
         s.medium, s.steps, s.pending = choose(0, s.medium), choose(0, s.steps), choose(OUT, s.pending)
-        s.fresh, s.covered = s.fresh | done, s.covered & ~done
+        s.fresh, s.covered = s.fresh | done, choose(0.0, s.covered)
         ledger = s.ledger
         ledger.common = choose(1.0, ledger.common)
         if self.objects is not None:
@@ -203,7 +203,7 @@ class Kernel:
         hit = self.surface.meet(ray, cast)
         out = s.pending == OUT
         met = out & hit.other
-        seen = self.lights.seen(s, out & ~hit.valid, met & ~s.covered, hit)
+        seen = self.lights.seen(s, out & ~hit.valid, met & (s.covered <= 0.0), hit)
         s.pending = dr.select(out & (~hit.valid | hit.other), END, s.pending)
         if self.objects is not None:
             share = self.objects.share(s, hit, out & (~hit.valid | hit.other))
@@ -304,6 +304,7 @@ class Kernel:
     def account(self, s: State, flight: Flight, path: Any) -> None:
         """Enter a step into the ledger."""
         assert self.flights is not None and self.medium is not None
+        s.covered = s.covered - path
         if self.medium.several:
             parts = self.flights.lengths(flight, path)
             s.ledger.lengths = [x + y for x, y in zip(s.ledger.lengths, parts, strict=True)]

@@ -78,7 +78,8 @@ def meet(kernel: Kernel, s: State) -> State:
         ledger.rows = [x + dr.select(add, y, 0.0) for x, y in zip(ledger.rows, found, strict=False)]
     if m.short:
         s.place.since = dr.select(here, 0.0, s.place.since)
-    s.covered = (s.covered & ~lives) | (lives & (kernel.peel is not None))
+    if kernel.peel is not None:
+        s.covered = dr.select(lives, kernel.peel.farthest, s.covered)
     s.pending = dr.select(lives, mi.UInt32(WALK), dr.select(dead, END, s.pending))
     return s
 

@@ -117,7 +117,7 @@ class Objects:
         bounce.p = dr.select(goes, si.p, bounce.p)
         bounce.density = dr.select(goes, dr.select(delta, 0.0, sent.pdf), bounce.density)
         bounce.count = bounce.count + dr.select(goes, mi.UInt32(1), 0)
-        s.fresh, s.covered = s.fresh & ~met, s.covered & ~met
+        s.fresh, s.covered = s.fresh & ~met, dr.select(met, 0.0, s.covered)
         s.pending = dr.select(goes, mi.UInt32(OUT), s.pending)
         return value, s
 

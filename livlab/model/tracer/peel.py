@@ -29,6 +29,10 @@ BOOST = 2.0
 FLOOR = 0.05
 """Least share of an even phase function that a chance counts with: its angle is a guess."""
 
+FARTHEST = 0.1
+"""Longest last leg inside on which lamps of some extent are asked for, as part of the body's size. In a ball of index
+1.4 light that grazes the surface has its first focus at 0.35 of the diameter."""
+
 CAUSTIC = 0.02
 """Least part of the spread that a flat surface gives: below it light is focused more than is believed."""
 
@@ -85,6 +89,8 @@ class Peel:
         )
         self.least = [one(float(x)) for x in m.m.extinction.min(axis=1)]
         mi = self.mi
+        # From farther inside than this a surface may focus light: what comes from there to lamps is left to chance.
+        self.farthest = one(FARTHEST * size)
         self.distant = [bool(mi.has_flag(e.flags(), mi.EmitterFlags.Infinite)) for e in lights.lamps]
         self.regions = len(m.m.regions)
 
@@ -161,13 +167,15 @@ class Peel:
 
     def ask(self, s: State, asks: Any) -> Asked:
         """Ask a lamp for its light at a meeting."""
-        dr, mi, m, now = self.dr, self.mi, self.m, s.meeting
+        dr, mi, m, now, lights = self.dr, self.mi, self.m, s.meeting, self.lights
         region = s.medium - 1
         normal, depth, near = self.above(s, asks)
         eta = self.ratio(s, region, asks)
         way = self.way(s, normal, depth, near, eta, asks)
         c2 = dr.dot(way.lamp, way.normal)
-        good = asks & way.good & (c2 > 0.0)
+        # Lamps without extent are never met by chance.
+        extended = self.m.pick(s.aim.lamp, [mi.Bool(x in lights.surfaces) for x in lights.lamps])
+        good = asks & way.good & (c2 > 0.0) & ((way.path < self.farthest) | ~extended)
         c2 = dr.maximum(c2, 1e-4)
         distant = s.aim.distant
         far = dr.select(distant, 0.0, dr.norm(s.aim.spot - way.y))
@@ -223,16 +231,18 @@ class Peel:
         if self.k.interfaces > 1:
             return self.through(s, normal, goes)
         field = self.flights.field
-        deep = goes & ~near
+        deep, y = goes & ~near, s.p
         lamp = self.toward(aim, s.p + normal * depth)
         inside, out, cosine = self.bend(lamp, normal, eta)
+        blind = deep
         if field is not None:
             y = s.p + inside * (depth * dr.rcp(dr.maximum(cosine, 1e-3)))
             _, inward = field.look(y, deep)
             normal = dr.select(near, normal, -inward)
-        else:
-            hit = self.k.surface.meet(mi.Ray3f(s.p, inside), deep)
-            y, normal = hit.p, dr.select(hit.body, hit.normal, normal)
+            blind = deep & (out <= 0.0)
+        # Where the nearest surface looks away from the lamp, the straight line to it is what is known.
+        hit = self.k.surface.meet(mi.Ray3f(s.p, dr.select(out > 0.0, inside, lamp)), blind)
+        y, normal = dr.select(hit.body, hit.p, y), dr.select(hit.body, hit.normal, normal)
         lamp = self.toward(aim, y)
         inside, out, cosine = self.bend(lamp, normal, eta)
         hit = self.k.surface.meet(mi.Ray3f(s.p, inside), deep)
@@ -267,7 +277,7 @@ class Peel:
         """The same through nested surfaces, each met in its turn."""
         dr, mi = self.dr, self.mi
         lamp = self.toward(s.aim, s.p)
-        for _ in range(2):
+        for last_try in (False, True):
             legs: list[Any] = []
             cosines: list[Any] = []
             y, good, path = s.p, goes, mi.Float(0.0)
@@ -275,10 +285,16 @@ class Peel:
             for r in reversed(range(self.regions)):
                 ratio = self.ratio(s, mi.UInt32(r), goes)
                 inside, out, cosine = self.bend(lamp, normal, ratio)
-                here = good & (s.medium - 1 >= r) & (out > 0.0)
+                if not last_try:
+                    # Where the surface last crossed looks away from the lamp, the line to it is what is known.
+                    inside = dr.select(out > 0.0, inside, lamp)
+                here = good & (s.medium - 1 >= r)
+                if last_try:
+                    here &= out > 0.0
                 hit = self.k.surface.meet(mi.Ray3f(y, inside), here)
                 good &= ~here | (hit.body & ~hit.outward & (hit.interface == r))
-                good &= out > 0.0
+                if last_try:
+                    good &= out > 0.0
                 first = dr.select(s.medium - 1 == r, inside, first)
                 y = dr.select(here, hit.p, y)
                 legs.insert(0, dr.select(here, hit.t, 0.0))

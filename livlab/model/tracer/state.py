@@ -122,7 +122,8 @@ class State:
     fresh
         The path is still the camera's own ray.
     covered
-        Lights were asked for at the last scattering, so that a light met now was counted.
+        Path on which lamps were asked for at the last scattering, less what was gone since: a lamp that is met while it
+        is positive was counted.
     light
         What the row has seen, a value a wavelength.
     bounce
