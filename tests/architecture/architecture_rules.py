@@ -14,6 +14,7 @@ RANKS = {
     "livlab.files": 0,
     "livlab.config_errors": 0,
     "livlab.units": 0,
+    "livlab.markup": 0,
     "livlab.datasets": 1,
     "livlab.metrics": 1,
     "livlab.criteria": 1,
@@ -26,6 +27,7 @@ RANKS = {
     "livlab.model.transport": 3,
     "livlab.model.tracer": 4,
     "livlab.model.effects": 5,  # a scene has an instrument
+    "livlab.api": 6,  # beside the command line, for notebooks
     "livlab.cli": 6,
 }
 RANK_OF_THE_REST = 5  # study, reports, acquire, brdf, configuration, runs, doctor
@@ -53,7 +55,12 @@ BLIND = {
         "livlab.study",
     ),
     "livlab.study": ("livlab.model.tracer", "livlab.model.transport", "livlab.reports"),
+    "livlab.api": ("livlab.cli",),
+    "livlab.cli": ("livlab.api",),
 }
+
+# What a person imports: their names come from above when they are asked for, and are named for type checkers only.
+FACES = ("livlab", "livlab.brdf")
 
 HEAVY = (
     "drjit",
@@ -118,9 +125,13 @@ def modules(root: Path) -> dict[str, Path]:
 
 
 def imports(name: str, file: Path, known: dict[str, Path]) -> Iterator[tuple[int, str]]:
-    """Line and full name of everything a module imports, inside functions too."""
+    """Line and full name of everything a module imports, inside functions too; of a face, what it loads at once."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    named = {id(node) for block in tree.body if name in FACES and _for_types(block) for node in ast.walk(block)}
+    for node in ast.walk(tree):
+        if id(node) in named:
+            continue
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield node.lineno, alias.name
@@ -132,6 +143,10 @@ def imports(name: str, file: Path, known: dict[str, Path]) -> Iterator[tuple[int
             for alias in node.names:
                 full = f"{base}.{alias.name}"
                 yield node.lineno, full if full in known or (base == "livlab" and alias.name != "__version__") else base
+
+
+def _for_types(block: ast.stmt) -> bool:
+    return isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
 
 
 def import_violations(root: Path) -> list[str]:
