@@ -10,9 +10,10 @@ import importlib
 import math
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
@@ -36,6 +37,9 @@ class Section(BaseModel):
     """A table of an experiment file: no key it does not know, no nan, no value of another type."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True, populate_by_name=True)
+
+
+S = TypeVar("S", bound=Section)
 
 
 class Experiment(Section):
@@ -116,6 +120,23 @@ def load_experiment(path: Path | str) -> Experiment:
     return parse_experiment(_read(path), source=str(path))
 
 
+def load_section(path: Path | str, model: type[S]) -> S:
+    """Read and check a file of livlab's that is no experiment but has its form: TOML, versioned, no unknown key.
+
+    Raises
+    ------
+    ConfigError
+        As `load_experiment`.
+    """
+    text, source = _read(Path(path)), str(path)
+    data = _toml(text, source)
+    _check_schema(source, data)
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise explain(error, data, text, model.model_json_schema(by_alias=True), source) from None
+
+
 def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
     r"""Check the text of an experiment file.
 
@@ -124,12 +145,34 @@ def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
         ...
     livlab.errors.ConfigError: a.toml: kind = 'spectrel': must be one of .... Did you mean 'spectral'?
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise _syntax(source, text, str(error)) from None
-    except RecursionError:
-        raise ConfigError(f"{source}: nested too deeply.", remedy="Write a flatter file.") from None
+    return check_experiment(_toml(text, source), source=source, text=text)
+
+
+def check_experiment(data: Mapping[str, Any], *, source: str = "experiment", text: str | None = None) -> Experiment:
+    """Check an experiment that is a table already, as a program makes it.
+
+    Parameters
+    ----------
+    data
+        As TOML would give it. Where no text is given, `schema` may be left out: a program speaks to this livlab.
+    source
+        What errors call it.
+    text
+        The file it was read from, so that errors can name lines.
+
+    Raises
+    ------
+    ConfigError
+        What does not fit: the key's full path, the value, the bound and the remedy.
+
+    Examples
+    --------
+    >>> check_experiment({"name": "a", "kind": "spectrel"})  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    livlab.errors.ConfigError: experiment: kind = 'spectrel': must be one of .... Did you mean 'spectral'?
+    """
+    data = dict(data) if text is not None else {"schema": SCHEMA, **data}
     _check_schema(source, data)
     kind = data.get("kind", "spectral")
     if not isinstance(kind, str) or kind not in KINDS:
@@ -140,7 +183,7 @@ def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise explain(error, data, text, model.model_json_schema(by_alias=True), source) from None
+        raise explain(error, data, text or "", model.model_json_schema(by_alias=True), source) from None
 
 
 def to_toml(config: Experiment) -> str:
@@ -189,6 +232,15 @@ def _read(path: Path) -> str:
         raise ConfigError(
             f"{path}, line {line}: byte 0x{raw[error.start]:02x} is not UTF-8.", remedy="Save the file as UTF-8."
         ) from None
+
+
+def _toml(text: str, source: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _syntax(source, text, str(error)) from None
+    except RecursionError:
+        raise ConfigError(f"{source}: nested too deeply.", remedy="Write a flatter file.") from None
 
 
 def _syntax(source: str, text: str, message: str) -> ConfigError:

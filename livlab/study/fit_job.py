@@ -95,11 +95,11 @@ def _target(m: Measurement, known: Known, grid: FloatArray) -> Target:
     use = np.isfinite(data)
     if m.band_nm is not None:
         use &= (grid >= m.band_nm[0]) & (grid <= m.band_nm[1])
-    colour = _lab(grid[use]) if m.loss == "colour" else None
+    colour = lab_of(grid[use]) if m.loss == "colour" else None
     return Target(m.label, use, data, sigma, m.scaling, m.loss, m.weight, colour)
 
 
-def _lab(wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def lab_of(wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """CIE L*a*b* of a reflectance under D65 for the 2° observer, white being a perfect diffuser."""
     from livlab.model.colour import cie_weights
 
@@ -389,4 +389,4 @@ def _claims(
     return claims
 
 
-__all__ = ["prepare"]
+__all__ = ["lab_of", "prepare"]

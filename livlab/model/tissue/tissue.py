@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
+from livlab import markup
 from livlab.config_errors import explain, nearest
 from livlab.errors import ConfigError, InputError
 from livlab.model.tissue.layers import FlatLayer, Layer
@@ -73,6 +74,28 @@ class Tissue(Spec):
             for path in choice.set:
                 _place(data, path)
         return self
+
+    def __repr__(self) -> str:
+        layers = ", ".join(f"{x.name} {x.thickness_mm:g} mm" for x in self.layers)
+        return f"<Tissue {self.name}{f', {self.state}' if self.state else ''}: {layers}>"
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it: each layer, its elements, and where each number came from."""
+        parts = []
+        for layer in self.layers:
+            index = layer.index if isinstance(layer.index, float) else layer.index.kind
+            rows = [
+                (name, element.kind, key, _shown(value), element.sources.get(key, ""))
+                for name, element in layer.elements.items()
+                for key, value in element
+                if key not in ("kind", "sources") and value not in (None, "")
+            ]
+            thick = f"{layer.thickness_mm:g} mm, index {index}"
+            sublayers = f", {len(layer.profile)} sublayers" if layer.profile else ""
+            columns = ("element", "kind", "value", "", "source")
+            parts.append(markup.card(layer.name, thick + sublayers, markup.table(columns, rows)))
+        about = ", ".join(filter(None, (self.state.replace("_", " "), self.description)))
+        return markup.card(self.name, about, *parts)
 
     def flat(self) -> tuple[FlatLayer, ...]:
         """Layers of constant composition, sublayers written out."""
@@ -193,6 +216,15 @@ def override(tissue: Tissue, changes: Mapping[str, Any], *, by: str = "user") ->
         place[key] = _plain(value)
         data["given"][path] = by
     return type(tissue).parse(data, source=f"tissue {tissue.name}")
+
+
+def _shown(value: Any) -> object:
+    """A value as a table shows it: nested ones by what they hold."""
+    if isinstance(value, Spec):
+        return ", ".join(f"{k} {_shown(v)}" for k, v in value if v is not None and v != "")
+    if isinstance(value, Mapping):
+        return "; ".join(f"{k}: {_shown(v)}" for k, v in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else value
 
 
 def _place(data: Any, path: str) -> tuple[Any, Any]:
