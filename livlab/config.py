@@ -20,7 +20,8 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 from pydantic.json_schema import models_json_schema
 
 from livlab.config_errors import explain, nearest
-from livlab.errors import ConfigError
+from livlab.errors import ConfigError, briefly
+from livlab.toml_text import parse_toml
 
 SCHEMA = 1
 """Version of the experiment file's form that this livlab reads."""
@@ -177,8 +178,8 @@ def check_experiment(data: Mapping[str, Any], *, source: str = "experiment", tex
     kind = data.get("kind", "spectral")
     if not isinstance(kind, str) or kind not in KINDS:
         known = sorted(KINDS)
-        hint = nearest(str(kind), known)
-        raise ConfigError(f"{source}: kind = {kind!r}: must be one of {', '.join(known)}.", remedy=hint or "Pick one.")
+        hint = nearest(kind if isinstance(kind, str) else "", known)
+        raise ConfigError(f"{source}: kind = {briefly(kind)}: must be one of {', '.join(known)}.", remedy=hint or "Pick one.")
     model = KINDS[kind].load_model()
     try:
         return model.model_validate(data)
@@ -236,11 +237,9 @@ def _read(path: Path) -> str:
 
 def _toml(text: str, source: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise _syntax(source, text, str(error)) from None
-    except RecursionError:
-        raise ConfigError(f"{source}: nested too deeply.", remedy="Write a flatter file.") from None
 
 
 def _syntax(source: str, text: str, message: str) -> ConfigError:
@@ -263,7 +262,7 @@ def _check_schema(source: str, data: dict[str, Any]) -> None:
     if type(version) is not int or version != SCHEMA:
         newer = type(version) is int and version > SCHEMA
         raise ConfigError(
-            f"{source}: schema = {version!r}: this livlab reads {SCHEMA}.",
+            f"{source}: schema = {briefly(version)}: this livlab reads {SCHEMA}.",
             remedy="Update livlab." if newer else f"Write `schema = {SCHEMA}`; `livlab schema` prints the form.",
         )
 
