@@ -24,8 +24,13 @@ from typing import Any
 from livlab import __version__
 from livlab.config import KINDS, Experiment, to_toml
 from livlab.errors import EnvironmentProblem, Interrupted
-from livlab.runs_files import locked, open_folder, read_csv, sha256, write_whole
+from livlab.runs_compare import timeless_hashes
+from livlab.files import readable
+from livlab.runs_files import locked, open_folder, plain_file, read_csv, sha256, write_whole
 from livlab.runs_work import Progress, Run, Silent
+
+LARGEST_MANIFEST = 1 << 26
+"""Bytes; a study of many jobs writes some MiB."""
 
 RESULT_VERSION = 2
 """Raised whenever the same experiment would give other numbers than before; it is part of the digest."""
@@ -58,9 +63,10 @@ def canonical(config: Experiment) -> str:
     return json.dumps(_canonical(config.resolve().plain()), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def digest(config: Experiment, datasets: Mapping[str, str]) -> str:
-    """Hash of all that decides the numbers: resolved experiment, datasets' hashes, result version."""
-    parts = {"config": canonical(config), "datasets": dict(sorted(datasets.items())), "result": RESULT_VERSION}
+def digest(config: Experiment, datasets: Mapping[str, str], result: int | None = None) -> str:
+    """Hash of all that decides the numbers: resolved experiment, datasets' hashes, result version (this livlab's)."""
+    version = RESULT_VERSION if result is None else result
+    parts = {"config": canonical(config), "datasets": dict(sorted(datasets.items())), "result": version}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -136,7 +142,7 @@ def is_complete(folder: Path, identity: str = "") -> bool:
     if manifest.get("status") != "complete" or (identity and manifest.get("digest") != identity):
         return False
     try:
-        return all(sha256(folder / name) == known for name, known in manifest["files"].items())
+        return all(plain_file(folder, name) and sha256(folder / name) == x for name, x in manifest["files"].items())
     except (OSError, KeyError, AttributeError):
         return False
 
@@ -144,8 +150,9 @@ def is_complete(folder: Path, identity: str = "") -> bool:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest, or nothing if there is none that can be read."""
     try:
-        found = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        path = readable(folder / "manifest.json", "manifest", LARGEST_MANIFEST)
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):  # an InputError is a ValueError
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -167,8 +174,9 @@ def dataset_hashes(names: Sequence[str]) -> dict[str, str]:
 
 def _work(run: Run, work: Callable[[Run], None], command: str, hashes: Mapping[str, str], *, again: bool) -> None:
     before = {} if again else read_manifest(run.folder)
-    spent = float(before.get("seconds", 0.0)) if before.get("digest") == run.digest else 0.0
-    started = before.get("started") if spent else None
+    spent = before.get("seconds", 0.0) if before.get("digest") == run.digest else 0.0
+    spent = float(spent) if isinstance(spent, (int, float)) and 0.0 <= spent < 1e12 else 0.0
+    started = str(before.get("started")) if spent else None
     clock = time.monotonic()
     manifest: dict[str, Any] = {
         "name": run.config.name,
@@ -181,7 +189,7 @@ def _work(run: Run, work: Callable[[Run], None], command: str, hashes: Mapping[s
         "seed": run.config.seed,
         "datasets": dict(hashes),
         "started": started or _now(),
-        **_machine(),
+        **machine(),
     }
 
     def write_manifest(status: str) -> None:
@@ -194,6 +202,8 @@ def _work(run: Run, work: Callable[[Run], None], command: str, hashes: Mapping[s
             "seconds": round(seconds, 3),
             "notes": run.notes,
             "files": run.written if status == "complete" else {},
+            "results": timeless_hashes(run.folder, run.written) if status == "complete" else {},
+            "experiment": to_toml(run.config),
         }
         write_whole(run.folder / "manifest.json", json.dumps(full, indent=2, ensure_ascii=False) + "\n")
 
@@ -263,7 +273,8 @@ def _outcome(folder: Path, report: Path | None, *, cached: bool) -> Outcome:
     return Outcome(folder, report, read_csv(claims) if claims.exists() else [], cached)
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
+    """The machine and the versions of what computes, as a manifest has them."""
     import os
     from importlib import metadata
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from livlab import __version__
-from livlab.cli import bench, brdf, cost, data, doctor, fractions, gallery, mesh, plan, run, stress
+from livlab.cli import bench, brdf, cost, data, doctor, fractions, gallery, mesh, plan, rerun, run, stress
 from livlab.errors import LivlabError
 
 _REFUSED_BY_SYSTEM = {
@@ -33,6 +33,7 @@ app.add_typer(data.app, name="data")
 brdf.register(app)
 doctor.register(app)
 run.register(app)
+rerun.register(app)
 plan.register(app)
 cost.register(app)
 fractions.register(app)

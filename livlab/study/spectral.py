@@ -134,6 +134,8 @@ def _work(
     walked = next((p.attrs["variant"] for p in pieces.values() if p.attrs["variant"] != "none"), None)
     if walked is not None and isinstance(config.solver, AutoSolver):
         name_device(run.info, walked)
+    # `auto` chooses by speed: whoever runs it again must be able to see that another solver answered.
+    run.info["solvers"] = {name: str(piece.attrs["rung"]) for name, piece in pieces.items()}
     _note(run, pieces)
     started = time.perf_counter()
     claims, metrics = judge(config, pieces, references)
