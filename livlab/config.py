@@ -109,6 +109,8 @@ def builtin_experiments() -> dict[str, Path]:
 def load_experiment(path: Path | str) -> Experiment:
     """Read, check and return an experiment file, or one of livlab's own by its bare name.
 
+    A preset file that the experiment names (`tissue.preset = "skin.toml"`) is sought beside the experiment first.
+
     Raises
     ------
     ConfigError
@@ -118,7 +120,7 @@ def load_experiment(path: Path | str) -> Experiment:
     path = Path(path)
     if not path.exists() and path.name == str(path):
         path = builtin_experiments().get(path.name, path)
-    return parse_experiment(_read(path), source=str(path))
+    return parse_experiment(_read(path), source=str(path), folder=path.parent)
 
 
 def load_section(path: Path | str, model: type[S]) -> S:
@@ -138,7 +140,7 @@ def load_section(path: Path | str, model: type[S]) -> S:
         raise explain(error, data, text, model.model_json_schema(by_alias=True), source) from None
 
 
-def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
+def parse_experiment(text: str, *, source: str = "experiment", folder: Path | None = None) -> Experiment:
     r"""Check the text of an experiment file.
 
     >>> parse_experiment('schema = 1\nkind = "spectrel"', source="a.toml")  # doctest: +ELLIPSIS
@@ -146,7 +148,8 @@ def parse_experiment(text: str, *, source: str = "experiment") -> Experiment:
         ...
     livlab.errors.ConfigError: a.toml: kind = 'spectrel': must be one of .... Did you mean 'spectral'?
     """
-    return check_experiment(_toml(text, source), source=source, text=text)
+    data = _toml(text, source)
+    return check_experiment(data if folder is None else _presets_beside(data, folder), source=source, text=text)
 
 
 def check_experiment(data: Mapping[str, Any], *, source: str = "experiment", text: str | None = None) -> Experiment:
@@ -179,7 +182,8 @@ def check_experiment(data: Mapping[str, Any], *, source: str = "experiment", tex
     if not isinstance(kind, str) or kind not in KINDS:
         known = sorted(KINDS)
         hint = nearest(kind if isinstance(kind, str) else "", known)
-        raise ConfigError(f"{source}: kind = {briefly(kind)}: must be one of {', '.join(known)}.", remedy=hint or "Pick one.")
+        bound = f"must be one of {', '.join(known)}"
+        raise ConfigError(f"{source}: kind = {briefly(kind)}: {bound}.", remedy=hint or "Pick one.")
     model = KINDS[kind].load_model()
     try:
         return model.model_validate(data)
@@ -233,6 +237,21 @@ def _read(path: Path) -> str:
         raise ConfigError(
             f"{path}, line {line}: byte 0x{raw[error.start]:02x} is not UTF-8.", remedy="Save the file as UTF-8."
         ) from None
+
+
+def _presets_beside(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with each preset file that lies beside the experiment named by its full path, wherever it runs from."""
+    made: dict[str, Any] = {}
+    for key, value in data.items():
+        made[key] = value
+        if isinstance(value, dict):
+            made[key] = _presets_beside(value, folder)
+        elif isinstance(value, list):
+            made[key] = [_presets_beside(x, folder) if isinstance(x, dict) else x for x in value]
+        elif key == "preset" and isinstance(value, str) and value.endswith(".toml") and "\0" not in value:
+            beside = folder / value
+            made[key] = str(beside) if beside.is_file() else value
+    return made
 
 
 def _toml(text: str, source: str) -> dict[str, Any]:

@@ -299,7 +299,7 @@ def bootstrap_interval(
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
     return Interval(
         estimate,
-        float(np.std(drawn, ddof=1)),
+        float(np.std(drawn, ddof=1)) if np.ptp(drawn) > 0 else 0.0,  # the mean of equal numbers is rounded
         float(low),
         float(high),
         level,

@@ -220,9 +220,8 @@ def _wrong(manifest: Any) -> list[str]:
     found = [] if isinstance(manifest.get("digest"), str) else ["digest"]
     for key in (*tables, *(["results"] if "results" in manifest else [])):
         table = manifest.get(key)
-        if not isinstance(table, dict) or not all(isinstance(v, str) for v in table.values()):
-            found.append(key)
-        elif key in ("files", "results") and not all(map(_inside, table)):
+        good = isinstance(table, dict) and all(isinstance(v, str) for v in table.values())
+        if not good or not all(_inside(name) for name in table or ()):
             found.append(key)
     return found if isinstance(manifest.get("result_version", 0), int) else [*found, "result_version"]
 
