@@ -321,13 +321,13 @@ def _with_absorption(forward: LedgerForward, stack: Any, absorption: FloatArray)
 def _table(forward: LedgerForward, stack: Any, low: FloatArray, high: FloatArray, per: FloatArray) -> dict[str, Any]:
     """Values, slopes by ln x and errors of the reading at the nodes of each wavelength, and which nodes are valid."""
     size = len(low)
-    value, slope, error = (np.zeros((NODES, size)) for _ in range(3))
-    valid = np.zeros((NODES, size), dtype=bool)
-    for j, share in enumerate(np.linspace(0.0, 1.0, NODES)):
-        x = np.exp(low + share * (high - low))
-        found = forward.answer_stack(_with_absorption(forward, stack, x * per))
-        value[j], error[j], valid[j] = found.value, found.standard_error, found.valid
-        slope[j] = found.slopes["absorption"] * x * per
+    x = np.exp(low + np.linspace(0.0, 1.0, NODES)[:, None] * (high - low))
+    # All nodes of all wavelengths are one question, since a ledger answers many sooner than few.
+    every = stack.at(np.tile(np.arange(size), NODES).tolist())
+    found = forward.answer_stack(_with_absorption(forward, every, (x * per).ravel()))
+    value, error = found.value.reshape(NODES, size), found.standard_error.reshape(NODES, size)
+    valid = found.valid.reshape(NODES, size)
+    slope = found.slopes["absorption"].reshape(NODES, size) * x * per
     first = [int(np.argmax(v)) if v.any() else -1 for v in valid.T]
     last = [NODES - 1 - int(np.argmax(v[::-1])) if v.any() else -1 for v in valid.T]
     return {

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from livlab.acquire.instruments import Instrument
 from livlab.acquire.readout import readout
+from livlab.acquire.stacks import StackMaker
 from livlab.errors import InputError, LivlabError
-from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
-from livlab.model.tissue.tissue import Tissue, override
+from livlab.model.tissue.tissue import Tissue
 from livlab.model.transport.device import Variant
 from livlab.units import FloatArray
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from livlab.model.transport.geometry import Readout
     from livlab.model.transport.ledger import Detector, Ledger
 
-STEP = 1e-4
-"""Relative step of the differences of coefficients."""
+STEP = 1e-6
+"""Relative step of the differences of coefficients: they are smooth, and exact to 1e-15, so one side is enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,24 @@ class LedgerForward:
         self.ledger: Ledger | None = None
         self.readout: Readout | None = None
         self.recordings: list[dict[str, object]] = []
+        self._whole = StackMaker(tissue, reading, self.wavelength_nm, self.names)
+        self._asked = self._whole
+        self._use = np.ones(len(self.wavelength_nm), dtype=bool)
 
     def stack(self, values: Mapping[str, float]) -> OpticalStack:
         """The optical stack at given values of the parameters."""
-        changes = {name: float(values[name]) for name in self.names}
-        return optical_stack(override(self.tissue, changes, by="fit"), self.reading, self.wavelength_nm)
+        return self._whole(values)
+
+    def focus(self, use: NDArray[np.bool_] | None) -> None:
+        """Answer at some of the wavelengths only, (W,), until told otherwise; the others are nan and not valid."""
+        self._use = np.ones(len(self.wavelength_nm), dtype=bool) if use is None else np.asarray(use, dtype=bool)
+        whole = bool(self._use.all())
+        used = self.wavelength_nm[self._use]
+        self._asked = self._whole if whole else StackMaker(self.tissue, self.reading, used, self.names)
+
+    def adopt(self, other: LedgerForward) -> None:
+        """Answer from what another forward recorded, of the same layers and instrument."""
+        self.ledger, self.readout, self.recordings = other.ledger, other.readout, list(other.recordings)
 
     def record(
         self,
@@ -105,16 +118,18 @@ class LedgerForward:
         others: Sequence[Mapping[str, float]] = (),
         *,
         seed: int = 1,
+        coarser: float = 1.0,
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        """Walk anew about a centre, so that `others` are served too.
+        """Walk anew about a centre, so that `others` are served too, with `coarser` times the standard error.
 
         Raises
         ------
         InputError
             Values at which the tissue does not hold together, or that one ledger cannot serve.
         """
-        self.record_stacks(self.stack(centre), [self.stack(other) for other in others], seed=seed, progress=progress)
+        stacks = [self.stack(other) for other in others]
+        self.record_stacks(self.stack(centre), stacks, seed=seed, coarser=coarser, progress=progress)
 
     def record_stacks(
         self,
@@ -122,6 +137,7 @@ class LedgerForward:
         others: Sequence[OpticalStack] = (),
         *,
         seed: int = 1,
+        coarser: float = 1.0,
         progress: Callable[[float], None] | None = None,
     ) -> None:
         """`record`, of optical stacks as they are."""
@@ -131,7 +147,7 @@ class LedgerForward:
         self.readout = readout(self.instrument, stack.n_above)
         self.ledger = record(
             stack,
-            standard_error=self.standard_error,
+            standard_error=coarser * self.standard_error,
             seed=seed,
             source=self.readout.source,
             tally=self.readout.tally,
@@ -160,13 +176,44 @@ class LedgerForward:
             Values at which the tissue does not hold together, or nothing recorded yet.
         """
         at = {name: float(values[name]) for name in self.names}
-        found, by_absorption, by_scattering = self._read(self.stack(at), gradient)
+        found, by_absorption, by_scattering = self._read(self._asked(at), gradient)
         slopes = {}
         if gradient:
             for name in self.names:
                 absorption, scattering = self._tangent(at, name)
-                slopes[name] = (by_absorption * absorption + by_scattering * scattering).sum(axis=1)
-        return Response(found.value, found.standard_error, found.valid, slopes)
+                slopes[name] = self._spread((by_absorption * absorption + by_scattering * scattering).sum(axis=1))
+        valid = np.zeros(len(self._use), dtype=bool)
+        valid[self._use] = found.valid
+        return Response(self._spread(found.value), self._spread(found.standard_error), valid, slopes)
+
+    def noise_covariance(self, values: Mapping[str, float]) -> FloatArray:
+        """(W, W) covariance of the reading's Monte Carlo errors, nan outside the focus.
+
+        One photon answers at every wavelength, so they hang together.
+
+        Raises
+        ------
+        InputError
+            As `answer`.
+        """
+        from livlab.acquire.forward_noise import covariance
+
+        stack = self._asked({name: float(values[name]) for name in self.names})
+        size = len(self._use)
+        made = np.full((size, size), np.nan)
+        made[np.ix_(self._use, self._use)] = covariance(self._recorded(), stack, self._detectors())
+        return made
+
+    def _spread(self, values: FloatArray) -> FloatArray:
+        """Values at the wavelengths in focus, on all."""
+        made = np.full(len(self._use), np.nan)
+        made[self._use] = values
+        return made
+
+    def _recorded(self) -> Ledger:
+        if self.ledger is None or self.readout is None:
+            raise InputError.of("ledger", None, "nothing is recorded yet", "Call record first.")
+        return self.ledger
 
     def answer_stack(self, stack: OpticalStack) -> Response:
         """The reading of an optical stack as it is; the slope "absorption" is that by its last layer's coefficient.
@@ -184,14 +231,14 @@ class LedgerForward:
         from livlab.model.transport.ledger_plan import specular
         from livlab.model.transport.ledger_tables import fitted
 
-        if self.ledger is None or self.readout is None:
-            raise InputError.of("ledger", None, "nothing is recorded yet", "Call record first.")
-        size = len(self.wavelength_nm)
+        ledger = self._recorded()
+        assert self.readout is not None
+        size = len(stack.wavelength_nm)
         value, variance, valid = np.zeros(size), np.zeros(size), np.ones(size, dtype=bool)
-        sets = fitted(self.ledger, stack)
+        sets = fitted(ledger, stack)
         by_absorption, by_scattering = np.zeros_like(sets.absorption), np.zeros_like(sets.absorption)
         for detector, weight in self._detectors():
-            found = self.ledger.answer(sets, detector, gradient=gradient)
+            found = ledger.answer(sets, detector, gradient=gradient)
             value += weight * found.value
             variance += (weight * found.standard_error) ** 2
             valid &= found.valid
@@ -205,21 +252,19 @@ class LedgerForward:
         """(W, L) change of the coefficients with a parameter: a smooth function without chance, so differences do."""
         from livlab.model.transport.ledger_tables import fitted
 
-        assert self.ledger is not None
+        ledger = self._recorded()
+        here = fitted(ledger, self._asked(at))
         h = STEP * abs(at[name]) if at[name] else STEP
-        ends = []
         for step in (h, -h):
             try:
-                ends.append((step, fitted(self.ledger, self.stack({**at, name: at[name] + step}))))
-            except LivlabError:  # the tissue ends here: a share of 0 or 1
-                ends.append((0.0, fitted(self.ledger, self.stack(at))))
-        (up, high), (down, low) = ends
-        width = up - down
-        if width == 0.0:
-            return np.zeros_like(high.absorption), np.zeros_like(high.absorption)
-        # Scattering acts by s (1 − g): a change of g is one of s.
-        turned = high.scattering * (high.anisotropy - low.anisotropy) / (1.0 - high.anisotropy)
-        return (high.absorption - low.absorption) / width, (high.scattering - low.scattering - turned) / width
+                there = fitted(ledger, self._asked({**at, name: at[name] + step}))
+            except LivlabError:  # the tissue ends here: a share of 1, say
+                continue
+            # Scattering acts by s (1 − g): a change of g is one of s.
+            turned = here.scattering * (there.anisotropy - here.anisotropy) / (1.0 - here.anisotropy)
+            absorption, scattering = there.absorption - here.absorption, there.scattering - here.scattering - turned
+            return absorption / step, scattering / step
+        return np.zeros_like(here.absorption), np.zeros_like(here.absorption)
 
     def _detectors(self) -> list[tuple[Detector, float]]:
         """What of the light that leaves counts, and how much."""

@@ -10,13 +10,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from livlab.errors import InputError, Interrupted, LivlabError
+from livlab.errors import InputError, Interrupted
 from livlab.optimise import (
     Covariance,
     Identifiability,
@@ -27,6 +26,7 @@ from livlab.optimise import (
     identifiability,
     least_squares,
 )
+from livlab.study.fit_problem import Forward, Problem, corners
 from livlab.study.fit_targets import Target
 from livlab.units import FloatArray
 
@@ -42,45 +42,11 @@ TINY = 1e-4
 VALUE_TOLERANCE = 1e-6
 """Relative change of the loss at which a search ends: far below what another draw changes."""
 
-CORNERS = 8
-"""Points of the box that a recording is to serve beside its centre."""
+GUIDE = 2.0
+"""The first recording's standard error over the wanted one: it serves the whole box and only leads to the optimum."""
 
-
-class Answer(Protocol):
-    """What a forward model answers."""
-
-    @property
-    def value(self) -> FloatArray:
-        """(W,) the curve."""
-
-    @property
-    def standard_error(self) -> FloatArray:
-        """(W,) its Monte Carlo error."""
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """(W,) whether it can be trusted."""
-
-    @property
-    def slopes(self) -> Mapping[str, FloatArray]:
-        """(W,) derivative by each parameter, if asked for."""
-
-
-class Forward(Protocol):
-    """A curve as a function of parameters, by common random numbers that `record` draws anew."""
-
-    def record(
-        self,
-        centre: Mapping[str, float],
-        others: Sequence[Mapping[str, float]] = (),
-        *,
-        seed: int = 1,
-        progress: Callable[[float], None] | None = None,
-    ) -> None:
-        """Draw anew about a centre, so that `others` are served too."""
-
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Answer:
-        """The curve at given values."""
+REACH = 0.15
+"""Half the side of the box that later recordings serve, as a share of the whole one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,53 +107,6 @@ class FitOutcome:
         return made
 
 
-class Problem:
-    """Residuals of all targets and their Jacobian, from a forward model; the last point is remembered."""
-
-    def __init__(self, forward: Forward, targets: Sequence[Target], space: ParameterSpace) -> None:
-        if not targets:
-            raise InputError.of("measurement", (), "at least one must be fitted", "Give one with role = 'fit'.")
-        self.forward, self.targets, self.space = forward, tuple(targets), space
-        self.errors: FloatArray | None = None
-        self._at: tuple[float, ...] | None = None
-        self._answer: Answer | None = None
-        self.evaluations = 0
-
-    def refresh(self) -> None:
-        """Forget what an older recording answered."""
-        self._at = None
-
-    def freeze_errors(self, values: Mapping[str, float]) -> None:
-        """Take the model's Monte Carlo error at one point for the whole search: σ must not move with the parameters."""
-        self.errors = np.array(self.answer(values).standard_error)
-
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Answer:
-        """The forward model's answer."""
-        key = tuple(values.values())
-        if self._at != key or self._answer is None or (gradient and not self._answer.slopes):
-            self._answer = self.forward.answer(values, gradient=gradient)
-            self._at = key
-            self.evaluations += 1
-        return self._answer
-
-    def residuals(self, values: Mapping[str, float]) -> FloatArray:
-        """(N,) residuals; nan where the forward model cannot answer."""
-        found = self.answer(values)
-        parts = []
-        for target in self.targets:
-            r = target.residuals(found.value, self.errors)
-            parts.append(r if found.valid[target.use].all() else np.full_like(r, np.nan))
-        return np.concatenate(parts)
-
-    def jacobian(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
-        """Derivative of the residuals by each parameter that the forward model knows."""
-        found = self.answer(values, gradient=True)
-        return {
-            name: np.concatenate([t.slope(found.value, along, self.errors) for t in self.targets])
-            for name, along in found.slopes.items()
-        }
-
-
 def fit(
     forward: Forward,
     targets: Sequence[Target],
@@ -233,15 +152,23 @@ def fit(
     space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)
     if not space.free:
         raise InputError.of("parameter", space.names, "at least one must be free", "Give one low < high, not fixed.")
-    problem = Problem(forward, targets, space)
+    stages = (algorithm,) if isinstance(algorithm, str) else tuple(algorithm)
+    problem = Problem(forward, targets, space, eager=all(a == "auto" or a.startswith("LD_") for a in stages))
     tell = progress or (lambda stage, share: None)
     seconds: dict[str, float] = {"record": 0.0, "search": 0.0, "uncertainty": 0.0}
     notes: list[str] = []
     begun = time.perf_counter()
 
-    def record(values: Mapping[str, float], number: int, corners: Sequence[Mapping[str, float]]) -> None:
+    def record(values: Mapping[str, float], number: int) -> None:
         clock = time.perf_counter()
-        forward.record(values, corners, seed=seed + 1000 * number, progress=lambda s: tell("record", s))
+        about = {} if number == 0 else {"about": values, "reach": REACH}
+        forward.record(
+            values,
+            corners(forward, space, seed, **about),  # type: ignore[arg-type]
+            seed=seed + 1000 * number,
+            coarser=GUIDE if number == 0 else 1.0,
+            progress=lambda s: tell("record", s),
+        )
         problem.refresh()
         problem.freeze_errors(values)
         seconds["record"] += time.perf_counter() - clock
@@ -251,8 +178,7 @@ def fit(
         return not (stopping is not None and stopping())
 
     at = space.values(space.vector({}))
-    served = corners(forward, space, seed)
-    record(at, 0, served)
+    record(at, 0)
     searches: list[OptimiseResult] = []
     losses: list[float] = []
     drift: dict[str, float] = {}
@@ -286,7 +212,9 @@ def fit(
         losses.append(2.0 * found.value)
         clock = time.perf_counter()
         scale, correlation = _scale(problem, at, space)
-        spread = covariance_of_residuals(problem.jacobian(at), space, at, variance=scale)
+        slopes = problem.jacobian(at)
+        scatter = _scatter(problem, slopes, at, scale)
+        spread = covariance_of_residuals(slopes, space, at, variance=scale, scatter=scatter)
         seconds["uncertainty"] += time.perf_counter() - clock
         if drift:
             settled = all(
@@ -295,7 +223,7 @@ def fit(
             if settled:
                 break
         if number + 1 < most_recordings:
-            record(at, number + 1, served)
+            record(at, number + 1)
     assert spread is not None
     notes += list(dict.fromkeys(s for s in searches[-1].warnings))
     if not settled and drift:
@@ -304,6 +232,10 @@ def fit(
             "deviation: ask for a smaller standard error of the forward model."
         )
     fresh = _fresh_loss(problem, searches, at)
+    count = len(problem.residuals(at))
+    if count < len(space.free):
+        notes.append(f"{len(space.free)} parameters are free and {count} numbers are compared: not all can be held.")
+    problem.release()
     return FitOutcome(
         at,
         space,
@@ -320,26 +252,6 @@ def fit(
         seconds,
         pd.concat([s.path.assign(recording=k) for k, s in enumerate(searches)], ignore_index=True),
     )
-
-
-def corners(forward: Forward, space: ParameterSpace, seed: int) -> list[dict[str, float]]:
-    """Points of the box at which the tissue holds together, for a recording to serve: its corners by chance."""
-    rng = np.random.default_rng(seed)
-    stack = getattr(forward, "stack", None)
-    found: list[dict[str, float]] = []
-    finite = np.isfinite(space.low) & np.isfinite(space.high)
-    for _ in range(8 * CORNERS):
-        side = rng.random(len(space.free)) < 0.5
-        values = space.values(np.where(finite, np.where(side, space.low, space.high), space.start))
-        try:
-            if stack is not None:
-                stack(values)
-        except LivlabError:
-            continue
-        found.append(values)
-        if len(found) == CORNERS:
-            break
-    return found
 
 
 def _small(change: float, sd: float) -> bool:
@@ -360,6 +272,30 @@ def _scale(problem: Problem, at: Mapping[str, float], space: ParameterSpace) -> 
     held = max(correlation, 0.0)
     count = max(len(r) * (1.0 - held) / (1.0 + held), len(space.free) + 1.0)
     return float(r @ r) / max(count - len(space.free), 1.0), correlation
+
+
+def _scatter(
+    problem: Problem, slopes: Mapping[str, FloatArray], at: Mapping[str, float], scale: float
+) -> dict[tuple[str, str], float] | None:
+    """Covariance of Jᵀr by pairs of names, None if the forward model has no errors beyond what the residuals weigh in.
+
+    To the residuals' own it adds that of the forward model, whose errors hang together along the curve and so move the
+    parameters more than independent ones.
+    """
+    shaken = problem.shaken(at)
+    if not shaken.any():
+        return None
+    total = {name: np.array(slopes[name]) for name in problem.space.names}
+    for p in problem.space.parameters:
+        if p.tied in total and p.name in slopes:
+            total[p.tied] = total[p.tied] + p.factor * slopes[p.name]
+    made = {}
+    for a, left in total.items():
+        for b, right in total.items():
+            made[a, b] = float(scale * (left @ right) + (left @ shaken) @ (right @ shaken))
+        sd = problem.space.by_name[a].prior_sd
+        made[a, a] += scale / sd**2 if sd is not None else 0.0
+    return made
 
 
 def _neighbours(r: FloatArray) -> float:

@@ -17,7 +17,7 @@ from livlab.criteria import Claim
 from livlab.errors import InputError, Interrupted
 from livlab.gpu import name_device
 from livlab.study import spectral_tables as tables
-from livlab.study.fit import FitOutcome, fit
+from livlab.study.fit import GUIDE, FitOutcome, fit
 from livlab.study.fit_targets import Target
 from livlab.study.spectral_claims import Known, load_reference
 from livlab.units import FloatArray
@@ -196,7 +196,7 @@ def _bench(config: FitExperiment, found: FitOutcome, targets: dict[str, Target])
         config.wavelengths.grid(),
         config.instrument,
         references=known,
-        standard_error=config.search.standard_error,
+        standard_error=GUIDE * config.search.standard_error,
         seed=config.seed,
     )
 
@@ -320,9 +320,9 @@ def _profiles(
 ) -> tuple[tuple[str, ...], list[dict[str, object]]]:
     """Profile-likelihood intervals, with the last recording's draws."""
     from livlab.optimise import profile
-    from livlab.study.fit import Problem
+    from livlab.study.fit_problem import Problem
 
-    problem = Problem(forward, targets, found.space)
+    problem = Problem(forward, targets, found.space, eager=True)
     problem.freeze_errors(found.best)
     rows: list[dict[str, object]] = []
     for p in found.space.free:
@@ -348,6 +348,7 @@ def _profiles(
                 "evaluations": made.evaluations,
             }
         )
+    problem.release()
     return ("parameter", "lower", "value", "upper", "open_below", "open_above", "evaluations"), rows
 
 

@@ -23,6 +23,9 @@ Scaling = Literal["max", "sum", "none", "free"]
 DIFFERENCE = 1e-5
 """Step along a slope, as a share of the curve's level, for the residuals' derivatives."""
 
+ROUNDING = 1e-12
+"""Share of a curve's level below which a change of its residuals is rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -40,6 +43,8 @@ class Target:
         How it is normalised, what is minimised, and how much it counts beside the others.
     colour
         From a spectrum on the used wavelengths to CIE L*a*b*; for the colour loss only.
+    covariance
+        (W, W) of the curve's errors beyond sigma, which hang together; None: there are none.
     """
 
     label: str
@@ -50,10 +55,11 @@ class Target:
     loss: Loss = "rmse"
     weight: float = 1.0
     colour: Callable[[FloatArray], FloatArray] | None = None
+    covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = int(self.use.sum())
-        least = {"rmse": 2, "chi2": 1, "pearson": 3, "colour": 1}[self.loss]
+        least = {"rmse": 2, "chi2": 1 if self.scaling == "none" else 2, "pearson": 3, "colour": 1}[self.loss]
         if n < least:
             raise InputError.of(
                 f"measurement {self.label}", f"{n} points", f"must have {least} or more for loss {self.loss!r}",
@@ -89,20 +95,61 @@ class Target:
             return np.full_like(m, np.nan), d, s
         return m / a, d / b, s / b
 
-    def residuals(self, model: FloatArray, model_se: FloatArray | None = None) -> FloatArray:
+    def whitening(self, model: FloatArray, noise: FloatArray | None = None) -> FloatArray | None:
+        """(R, n) matrix that makes the errors of a chi2's difference independent and of size one; None for others.
+
+        The difference of the curves as they are compared, model/a − data/b, has the covariance
+        A (Σ_data/b² + Σ_model/a²) Aᵀ. Dividing by the maximum or the sum takes one number out of the data, and with it
+        one direction: A = 1 − d sᵀ, d the divided data and s what takes their maximum or sum. That direction is left
+        out (R = n − 1). The matrix is taken at one model and kept, since weights must not move during a search.
+
+        Parameters
+        ----------
+        model
+            (W,) the modelled curve near the optimum.
+        noise
+            (W, W) covariance of its Monte Carlo errors.
+        """
+        if self.loss != "chi2":
+            return None
+        m, d = model[self.use], self.data[self.use]
+        inside = np.ix_(self.use, self.use)
+        spread = np.diag(self.sigma[self.use] ** 2)
+        if self.covariance is not None:
+            spread = spread + self.covariance[inside]
+        extra = np.zeros_like(spread) if noise is None else noise[inside]
+        if self.scaling in ("none", "free"):
+            factor = 1.0 if self.scaling == "none" else float(m @ d) / float(m @ m)
+            return np.asarray(np.linalg.inv(np.linalg.cholesky(spread + factor**2 * extra)))
+        size = np.max if self.scaling == "max" else np.sum
+        a, b = float(size(m)), float(size(d))
+        taken = np.ones(len(d)) if self.scaling == "sum" else np.eye(len(d))[int(np.argmax(d))]
+        project = np.eye(len(d)) - np.outer(d / b, taken)
+        eigen, vectors = np.linalg.eigh(project @ (spread / b**2 + extra / a**2) @ project.T)
+        return np.asarray((vectors[:, 1:] / np.sqrt(eigen[1:])).T)
+
+    def residuals(self, model: FloatArray, whitening: FloatArray | None = None) -> FloatArray:
         """(R,) the residuals; their squares sum to weight × loss. nan where the curve cannot be normalised.
 
         Parameters
         ----------
         model
             (W,) the modelled curve.
-        model_se
-            (W,) its Monte Carlo error, added to σ of a chi2 (at a fixed model: it must not change during a fit).
+        whitening
+            Of a chi2, as `whitening` gives it; made of the data's errors alone if not given.
         """
-        m, d, s = self.normalised(model)
+        m, d, _ = self.normalised(model)
         if self.loss == "chi2":
-            extra = 0.0 if model_se is None else model_se[self.use] * np.abs(m) / np.maximum(model[self.use], 1e-300)
-            r = (m - d) / np.sqrt(s**2 + extra**2)
+            white = self.whitening(model) if whitening is None else whitening
+            assert white is not None
+            if not np.isfinite(m).all():
+                return np.full(len(white), np.nan)
+            if self.scaling == "free":
+                m, d = white @ model[self.use], white @ d
+                under = float(m @ m)
+                r = m * (float(m @ d) / under if under > 0 else math.nan) - d
+            else:
+                r = white @ (m - d)
         elif self.loss == "rmse":
             r = (m - d) / math.sqrt(len(m))
         elif self.loss == "pearson":
@@ -114,15 +161,19 @@ class Target:
             r = np.atleast_1d(colour_difference(self.colour(m), self.colour(d)))
         return np.asarray(math.sqrt(self.weight) * r)
 
-    def slope(self, model: FloatArray, along: FloatArray, model_se: FloatArray | None) -> FloatArray:
+    def slope(self, model: FloatArray, along: FloatArray, whitening: FloatArray | None = None) -> FloatArray:
         """(R,) derivative of the residuals along a change of the modelled curve."""
         level = float(np.abs(along[self.use]).max())
         if level == 0.0:
-            return np.zeros_like(self.residuals(model, model_se))
+            return np.zeros_like(self.residuals(model, whitening))
         step = DIFFERENCE * float(np.abs(model[self.use]).max()) / level
-        high = self.residuals(model + step * along, model_se)
-        low = self.residuals(model - step * along, model_se)
-        return np.asarray((high - low) / (2.0 * step))
+        high = self.residuals(model + step * along, whitening)
+        low = self.residuals(model - step * along, whitening)
+        # A change that only scales a curve leaves its shape as it was; rounding must not make a slope of it.
+        terms = np.abs(self.normalised(model)[0])
+        size = terms.max() if self.loss != "chi2" or whitening is None else (np.abs(whitening) @ terms).max()
+        moved = high - low
+        return np.asarray(moved / (2.0 * step)) if np.abs(moved).max() > ROUNDING * size else np.zeros_like(moved)
 
     def scores(self, model: FloatArray) -> dict[str, float]:
         """RMSE and Pearson of the normalised curves, whatever was minimised; nan where there are too few points."""

@@ -41,6 +41,7 @@ class Decay:
         others: Sequence[Mapping[str, float]] = (),
         *,
         seed: int = 1,
+        coarser: float = 1.0,
         progress: Any = None,
     ) -> None:
         self.records.append(seed)

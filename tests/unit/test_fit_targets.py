@@ -32,8 +32,8 @@ def test_squares_sum_to_one_less_pearson() -> None:
 
 
 def test_squares_sum_to_chi_square_with_the_models_error() -> None:
-    sigma, se = np.full(21, 0.02), np.full(21, 0.01)
-    r = target(loss="chi2", sigma=sigma).residuals(MODEL, se)
+    goal = target(loss="chi2", sigma=np.full(21, 0.02))
+    r = goal.residuals(MODEL, goal.whitening(MODEL, 0.01**2 * np.eye(21)))
     assert r @ r == pytest.approx(float(np.sum((MODEL - DATA) ** 2 / (0.02**2 + 0.01**2))), rel=1e-12)
 
 
