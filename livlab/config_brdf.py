@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -105,6 +106,16 @@ class FitSpec(Section):
     starts: int = Field(2, ge=1, le=100, description="Starts of the search.")
 
 
+def _types(table: Any) -> list[Any]:
+    """Every `type` in a table of tables."""
+    if isinstance(table, list):
+        return [name for inner in table for name in _types(inner)]
+    if not isinstance(table, dict):
+        return []
+    own = [table["type"]] if "type" in table else []
+    return own + [name for inner in table.values() for name in _types(inner)]
+
+
 class MaterialSpec(Section):
     """A material whose BRDF is known."""
 
@@ -117,6 +128,10 @@ class MaterialSpec(Section):
     def _typed(self) -> Self:
         if not isinstance(self.bsdf.get("type"), str):
             raise InputError.of("bsdf.type", self.bsdf.get("type"), "must name a Mitsuba BSDF", "Write it.")
+        for name in _types(self.bsdf):
+            # Mitsuba looks a plugin's library up by its type: a path in it would load a library from anywhere.
+            if not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]{0,63}", name):
+                raise InputError.of("bsdf.type", name, "must be a plugin's plain name", "E.g. roughconductor.")
         if self.true and self.fit is None:
             raise InputError.of("true", self.true, "nothing is fitted", "Add a fit.")
         return self

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from livlab.errors import ConfigError, LivlabError
+from livlab.errors import ConfigError, LivlabError, briefly
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -45,7 +45,7 @@ def explain(
     shown = [f"  {message} {remedy}".rstrip() for message, remedy in found[:_MOST]]
     if len(found) > _MOST:
         shown.append(f"  … and {len(found) - _MOST} more.")
-    return ConfigError(f"{source}: {len(found)} troubles:\n" + "\n".join(shown))
+    return ConfigError(f"{source}: {len(found)} troubles:\n" + "\n".join(shown), remedy="Mend each of them.")
 
 
 def dotted(path: Path) -> str:
@@ -192,8 +192,7 @@ def _one(item: dict[str, Any], path: Path, data: Any, schema: dict[str, Any]) ->
         return cause.message, cause.remedy
     if kind == "missing":
         return f"{name}: the key is missing.", "Add it."
-    shown = repr(item.get("input"))
-    shown = shown if len(shown) <= 80 else shown[:77] + "..."
+    shown = briefly(item.get("input"))
     if kind == "extra_forbidden":
         known = allowed_keys(schema, path[:-1], data)
         hint = nearest(str(path[-1]), known)

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from livlab.config import Label, Section
 from livlab.errors import ConfigError, InputError
+from livlab.files import readable
 
 Length = Annotated[float, Field(gt=0.0, le=1e4)]
 Place = Annotated[tuple[float, float, float], Field(strict=False)]
@@ -28,12 +29,13 @@ _LEVEL = (
 
 
 def _hash_of(path: str) -> str:
+    remedy = "Name a file that is there."
     try:
-        with Path(path).open("rb") as stream:
+        with readable(Path(path), "path", 1 << 40, remedy, ConfigError).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise ConfigError(
-            f"{path} cannot be read: {error.strerror or error}.", remedy="Name a file that is there."
+            f"{path} cannot be read: {error.strerror or error}.", remedy=remedy
         ) from None
 
 

@@ -6,6 +6,7 @@ What is written is what was judged: a value is first rounded to the digits its s
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -15,6 +16,10 @@ from pathlib import Path
 from typing import Literal
 
 from livlab.errors import InputError
+from livlab.files import first_line, readable
+
+LARGEST_BYTES = 1 << 26
+"""Of a table of claims."""
 
 Verdict = Literal["PASS", "FAIL", "MISSING"]
 
@@ -265,28 +270,35 @@ def read_claims(path: Path) -> tuple[Claim, ...]:
         If the columns are not exactly `COLUMNS`, a cell is no number, or a verdict contradicts its numbers.
     """
     beside = _notes_path(path)
-    notes: dict[str, str] = json.loads(beside.read_text(encoding="utf-8")) if beside.exists() else {}
-    with path.open(newline="", encoding="utf-8") as stream:
-        reader = csv.reader(stream)
-        header: Sequence[str] = next(reader, [])
-        if tuple(header) != COLUMNS:
-            raise InputError.of(str(path), list(header), f"the columns must be {','.join(COLUMNS)}", "Write it anew.")
-        claims = []
-        for line, row in enumerate(reader, start=2):
-            if len(row) != len(COLUMNS):
-                raise InputError.of(f"{path}, line {line}", row, f"must have {len(COLUMNS)} cells", "Write it anew.")
-            name, *cells, verdict, seconds = row
-            if verdict not in ("PASS", "FAIL", "MISSING"):
-                raise InputError.of(f"{path}, line {line}", verdict, "must be PASS, FAIL or MISSING", "Write it anew.")
-            try:
-                value, standard_error, reference, tolerance = (float(x) if x else None for x in cells)
-                cost = float(seconds)
-            except ValueError as error:
-                raise InputError.of(
-                    f"{path}, line {line}", row, "holds a cell that is no number", "Mend it."
-                ) from error
-            known: Verdict = verdict  # type: ignore[assignment]
-            claims.append(Claim(name, value, standard_error, reference, tolerance, known, cost, notes.get(name, "")))
+    notes: dict[str, str] = {}
+    try:
+        text = readable(path, "claims", LARGEST_BYTES).read_text(encoding="utf-8")
+        if beside.exists():
+            notes = json.loads(readable(beside, "claims", LARGEST_BYTES).read_text(encoding="utf-8"))
+        if not isinstance(notes, dict):
+            raise ValueError(f"{beside.name} is no table")
+        rows = list(csv.reader(io.StringIO(text, newline="")))
+    except InputError:
+        raise
+    except (ValueError, RecursionError, csv.Error) as error:
+        raise InputError.of(str(path), first_line(error), "is no table of claims", "Write it anew.") from error
+    header: Sequence[str] = rows[0] if rows else []
+    if tuple(header) != COLUMNS:
+        raise InputError.of(str(path), list(header), f"the columns must be {','.join(COLUMNS)}", "Write it anew.")
+    claims = []
+    for line, row in enumerate(rows[1:], start=2):
+        if len(row) != len(COLUMNS):
+            raise InputError.of(f"{path}, line {line}", row, f"must have {len(COLUMNS)} cells", "Write it anew.")
+        name, *cells, verdict, seconds = row
+        if verdict not in ("PASS", "FAIL", "MISSING"):
+            raise InputError.of(f"{path}, line {line}", verdict, "must be PASS, FAIL or MISSING", "Write it anew.")
+        try:
+            value, standard_error, reference, tolerance = (float(x) if x else None for x in cells)
+            cost = float(seconds)
+        except ValueError as error:
+            raise InputError.of(f"{path}, line {line}", row, "holds a cell that is no number", "Mend it.") from error
+        known: Verdict = verdict  # type: ignore[assignment]
+        claims.append(Claim(name, value, standard_error, reference, tolerance, known, cost, str(notes.get(name, ""))))
     return tuple(claims)
 
 

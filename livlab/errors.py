@@ -22,6 +22,19 @@ class LivlabError(Exception):
         super().__init__(f"{message} {remedy}".strip())
 
 
+def briefly(value: object) -> str:
+    """How a message shows a value: as Python writes it, at most 80 characters.
+
+    >>> briefly("a" * 100)[-5:]
+    'aa...'
+    """
+    try:
+        shown = repr(value)
+    except (ValueError, RecursionError):  # a whole number of thousands of digits; tables without an end
+        shown = f"a huge {type(value).__name__}"
+    return shown if len(shown) <= 80 else shown[:77] + "..."
+
+
 class InputError(LivlabError, ValueError):
     """A value outside its bounds.
 
@@ -34,10 +47,7 @@ class InputError(LivlabError, ValueError):
     @classmethod
     def of(cls, field: str, value: object, bound: str, remedy: str) -> InputError:
         """Name the field, the value, the bound and the remedy."""
-        shown = repr(value)
-        if len(shown) > 80:
-            shown = shown[:77] + "..."
-        return cls(f"{field} = {shown}: {bound}.", remedy=remedy)
+        return cls(f"{field} = {briefly(value)}: {bound}.", remedy=remedy)
 
 
 class ConfigError(InputError):

@@ -5,10 +5,14 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from livlab.errors import EnvironmentProblem
+from livlab.errors import EnvironmentProblem, InputError
+
+DENSEST = 1100
+"""Bytes that a byte of deflated data can stand for, at most (RFC 1951: 258 from two bits)."""
 
 REMEDIES = {
     errno.ENOSPC: "Free some space, or name another folder with --out.",
@@ -21,6 +25,38 @@ REMEDIES = {
     errno.EEXIST: "A file stands where a folder is needed: name another folder with --out.",
     errno.ENAMETOOLONG: "Use a shorter name, or a shorter --out.",
 }
+
+
+def readable(
+    path: Path, field: str, most_bytes: int, remedy: str = "Check the path.", error: type[InputError] = InputError
+) -> Path:
+    """The path of a user's file, if it is a plain file of a size that may be read whole.
+
+    A named pipe would be waited for without end, a device has no end, and a file as large as the disk is a mistake.
+
+    Raises
+    ------
+    InputError
+        (or `error`) It is missing, no plain file, or larger than `most_bytes`.
+    """
+    try:
+        status = path.stat()
+    except OSError as trouble:
+        raise error.of(field, str(path), f"cannot be read ({trouble.strerror or trouble})", remedy) from trouble
+    except ValueError as trouble:  # a zero byte
+        raise error.of(field, str(path), "is not a file name", remedy) from trouble
+    if not stat.S_ISREG(status.st_mode):
+        raise error.of(field, str(path), "is not a plain file", remedy)
+    if status.st_size > most_bytes:
+        bound = f"has {status.st_size / 2**20:.1f} MiB, more than the {most_bytes / 2**20:g} MiB that it may have"
+        raise error.of(field, str(path), bound, remedy)
+    return path
+
+
+def first_line(error: BaseException) -> str:
+    """What a library's error says, in one line of at most 160 characters."""
+    said = (str(error).strip().splitlines() or [""])[0][:160]
+    return f"{type(error).__name__}: {said}" if said else type(error).__name__
 
 
 @contextlib.contextmanager

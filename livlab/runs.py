@@ -24,8 +24,8 @@ from typing import Any
 from livlab import __version__
 from livlab.config import KINDS, Experiment, to_toml
 from livlab.errors import EnvironmentProblem, Interrupted
-from livlab.runs_compare import timeless_hashes
 from livlab.files import readable
+from livlab.runs_compare import timeless_hashes
 from livlab.runs_files import locked, open_folder, plain_file, read_csv, sha256, write_whole
 from livlab.runs_work import Progress, Run, Silent
 

@@ -42,6 +42,16 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+def plain_file(folder: Path, name: object) -> bool:
+    """Whether a manifest's entry is a file of its folder: a device or a pipe would be read without end.
+
+    >>> plain_file(Path("."), "../elsewhere")
+    False
+    """
+    path = folder / str(name)
+    return ".." not in path.parts and not Path(str(name)).is_absolute() and path.is_file()
+
+
 def sha256(path: Path) -> str:
     """Hash of a file's content."""
     with path.open("rb") as stream:
@@ -121,6 +131,7 @@ __all__ = [
     "csv_text",
     "locked",
     "open_folder",
+    "plain_file",
     "read_csv",
     "sha256",
     "told_plainly",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 import warnings
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
+from livlab.files import first_line
 
 if TYPE_CHECKING:
     import tifffile
 
 MAX_PIXELS = 100_000_000
 """Pages above this are refused before they are decoded: an RGB page of 16 bits would take 0.6 GB, its masks more."""
+
+FORMATS = ("PNG", "JPEG", "TGA", "BMP", "PPM", "GIF", "WEBP")
+"""What Pillow may open. Among all it knows are formats that start other programs (Ghostscript for EPS)."""
 
 _NO_IMAGE = "Give a PNG, JPEG or TIFF with a red, a green and a blue channel, or a TIFF with several channels."
 
@@ -73,9 +75,9 @@ def read_pages(path: Path) -> Iterator[Page]:
         raise
     except PermissionError as error:
         raise InputError.of("image", str(path), "cannot be read: permission denied", "Mend its permissions.") from error
-    except (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, IndexError) as error:
+    except Exception as error:  # Pillow and tifffile raise whatever they stumble over
         raise InputError.of(
-            "image", str(path), f"cannot be decoded ({str(error)[:120]})", "It is truncated, damaged or no image."
+            "image", str(path), f"cannot be decoded ({first_line(error)})", "It is truncated, damaged or no image."
         ) from error
 
 
@@ -126,7 +128,7 @@ def _pillow_pages(path: Path, magic: bytes) -> Iterator[Page]:
         # The size is checked here, by the same reason and with an own message.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
-            image = Image.open(path)
+            image = Image.open(path, formats=FORMATS)
         except UnidentifiedImageError as error:
             raise InputError.of("image", str(path), "is no image that can be read", _NO_IMAGE) from error
         except Image.DecompressionBombError as error:

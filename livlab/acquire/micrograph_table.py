@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import csv
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from livlab.acquire.micrograph import LayerTable
 from livlab.criteria import round_to_error
 from livlab.errors import InputError
+from livlab.files import readable
+from livlab.toml_text import parse_toml
+
+LARGEST_BYTES = 1 << 20
+"""A table has some dozen lines."""
 
 FIELDS = ("depth_from", "depth_to", "elastin", "elastin_error", "collagen", "collagen_error")
 """Shares of the layer's thickness from the surface, volume fractions and their counting errors, all 0 to 1."""
@@ -67,21 +71,27 @@ def read_profile(path: Path) -> list[dict[str, Any]]:
         If the file cannot be read, a column is missing, or the sublayers leave a gap or do not run from 0 to 1.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = readable(path, "table", LARGEST_BYTES).read_text(encoding="utf-8-sig")
         if path.suffix == ".toml":
-            given = tomllib.loads(text).get("sublayers", [])
+            given = parse_toml(text).get("sublayers", [])
         else:
             given = list(csv.DictReader(text.splitlines()))
         rows = [{key: float(row[key]) for key in FIELDS if key in row or not key.endswith("_error")} for row in given]
     except OSError as error:
         raise InputError.of("table", str(path), f"cannot be read ({error.strerror})", "Check the path.") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, csv.Error) as error:
         raise InputError.of(
             "table",
             str(path),
             f"must hold numbers under {', '.join(FIELDS)} ({error})",
             "Mend it.",
         ) from error
+    for row in rows:
+        for key, value in row.items():
+            if not 0.0 <= value <= 1.0:
+                raise InputError.of(f"table, {key}", value, "must lie within 0 to 1", "Mend the table.")
     edges = [row["depth_to"] for row in rows]
     if not rows or [row["depth_from"] for row in rows] != [0.0, *edges[:-1]] or edges[-1] != 1.0:
         raise InputError.of("table", str(path), "sublayers must follow each other from 0 to 1", "Mend the depths.")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 import warnings
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
+from livlab.files import first_line
 
 MAX_PIXELS = 100_000_000
 """Photographs above this are refused from their header, before they are decoded."""
 
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".raw")
+
+FORMATS = ("PNG", "JPEG", "TGA", "BMP", "PPM", "GIF", "WEBP")
+"""What Pillow may open. Among all it knows are formats that start other programs (Ghostscript for EPS)."""
 
 _REMEDY = "Give PNG, TIFF (8 or 16 bit), EXR, TGA, JPEG or a camera's raw file."
 
@@ -98,11 +100,11 @@ def read_photograph(path: Path) -> Photograph:
         raise
     except PermissionError as error:
         raise InputError.of("photograph", str(path), "permission denied", "Mend its permissions.") from error
-    except (OSError, ValueError, SyntaxError, EOFError, RuntimeError, struct.error, zlib.error, IndexError) as error:
+    except Exception as error:  # Pillow, tifffile, OpenEXR and LibRaw raise whatever they stumble over
         raise InputError.of(
             "photograph",
             path.name,
-            f"cannot be decoded ({str(error)[:120]})",
+            f"cannot be decoded ({first_line(error)})",
             "It is truncated, damaged or no image; copy it again from the camera.",
         ) from error
 
@@ -156,7 +158,7 @@ def _pillow(path: Path) -> Photograph:
         # The size is checked here, with an own message.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
-            image = Image.open(path)
+            image = Image.open(path, formats=FORMATS)
         except UnidentifiedImageError as error:
             raise InputError.of("photograph", path.name, "is no image that can be read", _REMEDY) from error
         except Image.DecompressionBombError as error:

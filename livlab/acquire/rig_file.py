@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from livlab.config_errors import explain
 from livlab.errors import ConfigError, InputError
+from livlab.toml_text import parse_toml
 
 NAME = "rig.toml"
 LARGEST_BYTES = 1 << 20
@@ -240,8 +241,8 @@ def read_rig_file(path: Path) -> RigFile:
     if path.stat().st_size > LARGEST_BYTES:
         raise ConfigError.of("rig", path.name, "is larger than 1 MiB", "Name the rig file, not a picture.")
     try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
+        text = path.read_text(encoding="utf-8-sig")
+        data = parse_toml(text)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path.name}: is no TOML ({error}).", remedy="Mend the file.") from error
     try:
@@ -260,10 +261,13 @@ def within(folder: Path, name: str) -> Path:
     """
     plain = PurePosixPath(name.replace("\\", "/"))
     remedy = "Put the pictures beside the rig file, or below it."
-    if plain.is_absolute() or ".." in plain.parts or ":" in plain.parts[0]:
+    if not plain.parts or plain.is_absolute() or ".." in plain.parts or ":" in plain.parts[0] or "\0" in name:
         raise InputError.of("rig path", name, "must be relative to the rig file and not climb out", remedy)
     root = folder.resolve()
-    found = (root / plain).resolve()
+    try:
+        found = (root / plain).resolve()
+    except (OSError, RuntimeError) as error:  # links in a ring; a name that the system does not take
+        raise InputError.of("rig path", name, f"leads nowhere ({error})", remedy) from error
     if not found.is_relative_to(root):
         raise InputError.of("rig path", name, "leads out of the rig's folder through a link", remedy)
     return found

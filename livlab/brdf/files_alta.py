@@ -1,5 +1,6 @@
 """Text files of the ALTA library: a header of `#KEY VALUE` lines, then numbers: inputs, outputs, intervals."""
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -9,10 +10,13 @@ import xarray as xr
 
 from livlab.brdf.angles import direction, from_half_angles
 from livlab.brdf.samples import sample_dataset
-from livlab.errors import DatasetError
+from livlab.errors import DatasetError, InputError
+from livlab.files import readable
 
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
+
+LARGEST_BYTES = 1 << 29
 
 
 def _half(x: FloatArray) -> Pair:
@@ -70,7 +74,8 @@ def read_alta(path: Path) -> xr.Dataset:
         with another number of columns, directions below the surface where a cosine is to be divided out.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        text = readable(path, "BRDF file", LARGEST_BYTES, "Split it.", DatasetError)
+        lines = text.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeError) as error:
         raise DatasetError(f"Cannot read {path} as text: {error}.", remedy="Check the path.") from error
     header = _header(lines)
@@ -78,7 +83,7 @@ def read_alta(path: Path) -> xr.Dataset:
     inputs, to_pair = INPUTS[kind]
     channels = list(OUTPUTS[out])
     dim = header.get("DIM", [])
-    many = out == "INV_STERADIAN" and len(dim) == 2 and dim[1].isdecimal() and int(dim[1]) > 0
+    many = out == "INV_STERADIAN" and len(dim) == 2 and re.fullmatch("[0-9]{1,4}", dim[1]) and int(dim[1]) > 0
     if many:  # a spectrum: as many outputs as the header says
         channels = [str(c) for c in range(int(dim[1]))]
     if dim != [str(inputs), str(len(channels))]:
@@ -99,8 +104,8 @@ def read_alta(path: Path) -> xr.Dataset:
     attrs = {"source": f"ALTA file {path.name}", "alta_param_in": kind, "alta_param_out": out}
     try:
         return sample_dataset(wi, wo, value, channels=channels, attrs=attrs)
-    except ValueError as error:
-        raise DatasetError(f"{path.name}: {error}") from error
+    except InputError as error:
+        raise DatasetError(f"{path.name}: {error.message}", remedy=error.remedy) from error
 
 
 def _header(lines: list[str]) -> dict[str, list[str]]:

@@ -6,6 +6,7 @@ without cosine; optionally `standard_error_NAME`, `light`, `row`, `column`, `pix
 `area`. Lines that start with # are comments.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ import xarray as xr
 
 from livlab.brdf.angles import direction
 from livlab.brdf.samples import CONVENTIONS, check_samples, sample_dataset
-from livlab.errors import DatasetError
-from livlab.files import whole
+from livlab.errors import DatasetError, InputError
+from livlab.files import readable, whole
 
 FIRST = "# livlab BRDF samples 1"
 EXTRA = ("light", "row", "column", "pixel_solid_angle", "source_solid_angle", "area")
@@ -23,6 +24,8 @@ WHOLE = ("light", "row", "column")
 VECTORS = ("wi_x", "wi_y", "wi_z", "wo_x", "wo_y", "wo_z")
 DEGREES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
 CHUNK = 100_000
+LARGEST_BYTES = 1 << 29
+"""Some two million samples; NetCDF takes more."""
 
 
 def write_csv(path: Path, samples: xr.Dataset) -> None:
@@ -66,7 +69,8 @@ def read_csv(path: Path) -> xr.Dataset:
         No such file, columns missing or unknown, a cell that is not a number, directions not of unit length.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        text = readable(path, "BRDF file", LARGEST_BYTES, "Write it as NetCDF.", DatasetError)
+        lines = text.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {error.strerror}.", remedy="Check the path.") from error
     except UnicodeError as error:
@@ -104,6 +108,13 @@ def read_csv(path: Path) -> xr.Dataset:
         theta_i, phi_i, theta_o, phi_o = (np.deg2rad(numbers[name]) for name in DEGREES)
         wi, wo = direction(theta_i, phi_i), direction(theta_o, phi_o)
     complete = all(name in numbers for name in errors)
+    for name in WHOLE:
+        bad = np.flatnonzero(~(np.abs(numbers.get(name, np.zeros(1))) < 2**31))  # NaN too
+        if bad.size:
+            raise DatasetError.of(
+                f"{path.name}, sample {bad[0] + 1}, {name}", float(numbers[name][bad[0]]), "must be a number below 2³¹",
+                "Mend it, or leave the column out.",
+            )  # fmt: skip
     extra = {
         name: numbers[name].astype(np.int32) if name in WHOLE else numbers[name] for name in EXTRA if name in numbers
     }
@@ -113,9 +124,9 @@ def read_csv(path: Path) -> xr.Dataset:
             wo,
             np.stack([numbers[f"value_{name}"] for name in channels], axis=1),
             standard_error=np.stack([numbers[name] for name in errors], axis=1) if complete else None,
-            channels=[int(name) if name.isdecimal() else name for name in channels],
+            channels=[int(name) if re.fullmatch("[0-9]{1,9}", name) else name for name in channels],
             extra=extra,
             attrs={"source": f"CSV file {path.name}"},
         )
-    except ValueError as error:
-        raise DatasetError(f"{path.name}: {error}") from error
+    except InputError as error:
+        raise DatasetError(f"{path.name}: {error.message}", remedy=error.remedy) from error

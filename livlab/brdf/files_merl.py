@@ -8,7 +8,7 @@ import xarray as xr
 from livlab.brdf.grid import DIMS, Grid, grid_of
 from livlab.brdf.lookup import lookup, table_of
 from livlab.errors import DatasetError, InputError
-from livlab.files import whole
+from livlab.files import readable, whole
 
 SHAPE = (90, 90, 180)
 """Cells along θ_h, θ_d and φ_d."""
@@ -35,7 +35,7 @@ def read_merl(path: Path) -> xr.Dataset:
         The file is not there, or is not as long as 90 x 90 x 180 cells in three colours take; nothing of it is read.
     """
     try:
-        size = path.stat().st_size
+        size = readable(path, "BRDF file", 1 << 40, "Check the path.", DatasetError).stat().st_size
         with path.open("rb") as stream:
             shape = tuple(np.fromfile(stream, dtype="<i4", count=3).tolist())
             if size != _BYTES or shape != SHAPE:

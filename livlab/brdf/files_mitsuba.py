@@ -209,6 +209,19 @@ def read_mitsuba(path: Path) -> Measured:
         raise DatasetError.of(
             path.name, fields[table].shape, f"does not fit {knots} angles, {len(channels)} channels", "Fetch it again."
         )
+    theta = np.asarray(fields["theta_i"], dtype=np.float64)
+    planes = [fields["vndf"][0], fields[table][0], fields["ndf"], fields["sigma"]] if fields["vndf"].shape[0] else []
+    sound = (
+        np.all(np.diff(theta) > 0)
+        and planes
+        and min(side for plane in planes for side in plane.shape[-2:]) >= 2
+        and all(np.isfinite(plane).all() for plane in planes)
+        and fields["jacobian"].size > 0
+    )
+    if not sound or not np.all(np.asarray(fields["vndf"][0], dtype=np.float64).sum(axis=(1, 2)) > 0):
+        raise DatasetError.of(
+            path.name, "its tables", "must be finite, at least 2 x 2, over rising angles", "Fetch or write it again."
+        )
     return Measured(fields, list(channels))
 
 

@@ -9,6 +9,7 @@ from livlab.brdf.grid import grid_of
 from livlab.brdf.samples import check_samples
 from livlab.errors import DatasetError, InputError
 from livlab.files import whole
+from livlab.netcdf import NetcdfTrouble, load_netcdf
 
 KINDS = ("BRDF samples", "BRDF table")
 FORMAT = 1
@@ -53,14 +54,13 @@ def read_netcdf(path: Path) -> xr.Dataset:
         No NetCDF file, a newer layout, or one whose attributes state other conventions.
     """
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            data = opened.load()
-    except (OSError, ValueError, KeyError) as error:
+        data = load_netcdf(path) or xr.Dataset()
+    except NetcdfTrouble as error:
         raise DatasetError(
             f"Cannot read {path} as NetCDF: {error}.", remedy="Check the path; the file may be cut short."
         ) from error
-    version = int(data.attrs.pop("livlab_brdf_format", 0))
-    if version != FORMAT:
+    version = data.attrs.pop("livlab_brdf_format", 0)
+    if not np.array_equal(version, FORMAT):
         raise DatasetError.of(
             path.name,
             f"layout {version}",
@@ -68,7 +68,7 @@ def read_netcdf(path: Path) -> xr.Dataset:
             "Read it with a newer livlab.",
         )
     for name, text in _SPOKEN.items():
-        if data.attrs.get(name) != text:
+        if not np.array_equal(data.attrs.get(name), text):
             raise DatasetError.of(
                 f"{path.name}, attribute {name}",
                 data.attrs.get(name),

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from livlab.errors import DatasetError
-from livlab.files import whole
+from livlab.files import readable, whole
 
 Array = npt.NDArray[np.generic]
 
@@ -75,11 +75,7 @@ def read_tensors(path: Path) -> dict[str, Array]:
         No such file, another format or version, a type that is not known, data beyond the end of the file.
     """
     try:
-        if path.stat().st_size > LARGEST:
-            raise DatasetError.of(
-                path.name, f"{path.stat().st_size} bytes", f"must be at most {LARGEST}", "Give an isotropic material."
-            )
-        content = path.read_bytes()
+        content = readable(path, "BRDF file", LARGEST, "Give an isotropic material.", DatasetError).read_bytes()
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {error.strerror}.", remedy="Check the path.") from error
     if content[: len(MAGIC)] != MAGIC or content[len(MAGIC) : len(MAGIC) + 2] != b"\1\0":

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from livlab.errors import ConfigError, Interrupted
 
@@ -135,5 +137,5 @@ def _table(claims: list[dict[str, str]]) -> Table:
         shown = format_value(value, error) + (f" ± {format_value(error, error)}" if error else "")
         wanted = f"{claim['reference']} ± {claim['tolerance']}" if claim["reference"] else "–"
         verdict = claim["verdict"]
-        table.add_row(claim["criterion"], shown, wanted, f"[{_COLOURS.get(verdict, '')}]{verdict}[/]")
+        table.add_row(*map(escape, (claim["criterion"], shown, wanted)), Text(verdict, style=_COLOURS.get(verdict, "")))
     return table

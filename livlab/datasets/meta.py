@@ -9,7 +9,9 @@ from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from livlab.errors import DatasetError, InputError
+from livlab.errors import DatasetError, InputError, briefly
+from livlab.files import readable
+from livlab.toml_text import parse_toml
 
 Kind = Literal["tabulated", "digitised", "fit", "assumed"]
 KINDS: tuple[Kind, ...] = ("tabulated", "digitised", "fit", "assumed")
@@ -137,12 +139,11 @@ def read_unavailable(path: Path) -> dict[str, Unavailable]:
 def _read(path: Path, model: type[_Model], *, key: str | None = None) -> _Model:
     remedy = "Restore the file, or add the dataset anew with: livlab data add FILE"
     try:
-        if path.stat().st_size > _MAX_META_BYTES:
-            raise DatasetError(f"{path} is larger than {_MAX_META_BYTES} bytes.", remedy=remedy)
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        readable(path, "dataset", _MAX_META_BYTES, remedy, DatasetError)
+        content = parse_toml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror or error}.", remedy=remedy) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path} is not a TOML file: {error}.", remedy=remedy) from error
     try:
         return model.model_validate(content if key is None else {key: content})
@@ -156,6 +157,7 @@ def describe(error: ValidationError) -> str:
     for item in error.errors(include_url=False)[:5]:
         where = ".".join(str(part) for part in item["loc"]) or "the file"
         why = "unknown key" if item["type"] == "extra_forbidden" else item["msg"].removeprefix("Value error, ")
-        shown = "" if item["type"] in {"missing", "extra_forbidden"} or not item["loc"] else f" = {item['input']!r:.60}"
+        plain = item["type"] in {"missing", "extra_forbidden"} or not item["loc"]
+        shown = "" if plain else f" = {briefly(item['input']):.60}"
         parts.append(f"{where}{shown}: {why}")
     return "; ".join(parts)

@@ -13,8 +13,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from livlab.errors import InputError
-from livlab.files import write_whole
-from livlab.reports.folder import RunData
+from livlab.files import first_line, readable, write_whole
+from livlab.reports.folder import AGAIN, LARGEST_BYTES, RunData
 from livlab.reports.tables import Section
 
 FILE = "bench.json"
@@ -83,11 +83,14 @@ def read_bench(folder: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(readable(path, FILE, LARGEST_BYTES, AGAIN).read_text(encoding="utf-8"))
         if found["version"] != 1 or not found["sliders"] or not found["table"]["value"]:
             raise ValueError("unknown version")
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError.of(FILE, str(error), "is not a bench", "Run the experiment again with --force.") from None
+        bench_page(found)
+    except InputError:
+        raise
+    except Exception as error:  # the template asks for what a damaged file may lack
+        raise InputError.of(FILE, first_line(error), "is not a bench", AGAIN) from None
     return dict(found)
 
 

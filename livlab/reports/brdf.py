@@ -9,7 +9,7 @@ import pandas as pd
 
 from livlab.reports import brdf_figures as drawn
 from livlab.reports.figures import Pictures
-from livlab.reports.folder import RunData
+from livlab.reports.folder import RunData, beneath
 from livlab.reports.picture import png_size
 from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
 
@@ -51,8 +51,8 @@ def _spheres(run: RunData) -> Section:
     )
     items = []
     for row in run.table("pictures").to_dict("records"):
-        path = run.path / str(row["png"])
-        if not path.is_file():
+        path = beneath(run.path, row.get("png"))
+        if path is None:
             continue
         subject = str(row.get("material") or row.get("reading"))
         source = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import tomllib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,16 @@ from typing import Any
 import pandas as pd
 import xarray as xr
 
-from livlab.errors import InputError
+from livlab.errors import InputError, LivlabError
+from livlab.files import first_line, readable
+from livlab.netcdf import NetcdfTrouble, load_netcdf
+from livlab.runs_files import sha256
+from livlab.toml_text import parse_toml
+
+LARGEST_BYTES = 1 << 28
+"""Of a table; a run's are some MiB."""
+
+AGAIN = "Run the experiment again with --force."
 
 CLAIM_COLUMNS = ("criterion", "value", "standard_error", "reference", "tolerance", "verdict", "seconds")
 
@@ -70,18 +80,18 @@ def read_run(folder: Path) -> RunData:
                 "run folder", str(folder), f"has no {needed.name}", "Name a folder that `livlab run` wrote."
             )
     try:
-        manifest = json.loads(manifest_file.read_text(encoding="utf-8"))
-        config_text = config_file.read_text(encoding="utf-8")
-        config = tomllib.loads(config_text)
-    except ValueError as error:
-        raise InputError.of(
-            "run folder", str(folder), f"is damaged ({error})", "Run the experiment again with --force."
-        ) from error
+        manifest = json.loads(_text(manifest_file))
+        config_text = _text(config_file)
+        config = parse_toml(config_text)
+        if not isinstance(manifest, dict):
+            raise ValueError("its manifest is no table")
+    except (ValueError, RecursionError) as error:
+        raise InputError.of("run folder", str(folder), f"is damaged ({first_line(error)})", AGAIN) from error
     tables = {f.stem: _read_csv(f) for f in sorted(folder.glob("*.csv"))}
     claims = tables.pop("claims", pd.DataFrame(columns=list(CLAIM_COLUMNS)))
     missing = [c for c in CLAIM_COLUMNS if c not in claims.columns]
     if missing:
-        raise InputError.of("claims.csv", missing, "lacks these columns", "Run the experiment again with --force.")
+        raise InputError.of("claims.csv", missing, "lacks these columns", AGAIN)
     result = _read_group(folder / "result.nc", None)
     coefficients = _read_group(folder / "result.nc", "coefficients")
     if result is not None and coefficients is not None:
@@ -100,22 +110,71 @@ def read_run(folder: Path) -> RunData:
     )
 
 
+def _text(file: Path) -> str:
+    return readable(file, "run folder", LARGEST_BYTES, AGAIN).read_text(encoding="utf-8")
+
+
 def _read_csv(file: Path) -> pd.DataFrame:
     try:
-        return pd.read_csv(file, keep_default_na=False, na_values=["", "nan", "NaN"])
+        plain = readable(file, file.name, LARGEST_BYTES, AGAIN)
+        return pd.read_csv(plain, keep_default_na=False, na_values=["", "nan", "NaN"])
     except pd.errors.EmptyDataError:
         return pd.DataFrame()
+    except InputError:
+        raise
+    except (ValueError, OverflowError, OSError) as error:
+        raise InputError.of(file.name, str(file), f"cannot be read ({first_line(error)})", AGAIN) from error
+
+
+def damaged(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+    """Files of a finished run that are not as it wrote them, by the manifest's hashes; [] if all are."""
+    known = manifest.get("files")
+    if manifest.get("status") != "complete" or not isinstance(known, dict) or not known:
+        return ["the run is not finished"]
+    changed = []
+    for name, value in known.items():
+        path = beneath(folder, name)
+        if path is None or sha256(path) != value:
+            changed.append(str(name)[:80])
+    return changed
+
+
+@contextlib.contextmanager
+def sound(run: RunData) -> Iterator[None]:
+    """Tell damage from a defect: what goes wrong with files that are not as the run wrote them is their fault.
+
+    Raises
+    ------
+    InputError
+        Something was raised inside, and a file was changed, or the run never finished.
+    """
+    try:
+        yield
+    except LivlabError:
+        raise
+    except Exception as error:
+        changed = damaged(run.path, run.manifest)
+        if not changed:
+            raise
+        bound = f"cannot be shown ({first_line(error)})"
+        raise InputError.of(
+            "run folder", str(run.path), f"{bound}; changed since it was written: {', '.join(changed[:5])}", AGAIN
+        ) from error
+
+
+def beneath(folder: Path, name: object) -> Path | None:
+    """A plain file of the folder by its name; None for what is none, or lies elsewhere: a path out, or a link out."""
+    try:
+        path = (folder / str(name)).resolve()
+        return path if path.is_relative_to(folder.resolve()) and path.is_file() else None
+    except (OSError, ValueError, RuntimeError):
+        return None
 
 
 def _read_group(file: Path, group: str | None) -> xr.Dataset | None:
     if not file.is_file():
         return None
     try:
-        with xr.open_dataset(file, engine="h5netcdf", group=group) as opened:
-            return opened.load()
-    except OSError as error:
-        if group is not None and "group not found" in str(error).lower():
-            return None
-        raise InputError.of("result.nc", str(file), f"cannot be read ({error})", "Run again with --force.") from error
-    except (KeyError, ValueError):
-        return None
+        return load_netcdf(file, group=group)
+    except NetcdfTrouble as error:
+        raise InputError.of("result.nc", str(file), f"cannot be read ({error})", AGAIN) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from markupsafe import Markup
 from livlab import __version__
 from livlab.errors import InputError
 from livlab.files import write_whole
-from livlab.reports.folder import RunData, read_run
+from livlab.reports.folder import RunData, read_run, sound
 from livlab.reports.page import ICONS
 from livlab.reports.picture import png_size, shown_pictures
 from livlab.reports.picture_words import alt_text, caption, findings, light_words
@@ -84,9 +85,10 @@ def build_gallery(folders: Sequence[Path], out: Path) -> Path:
         run = read_run(folder)
         if str(run.manifest.get("kind")) != "picture":
             raise InputError.of("run", str(folder), "holds no pictures", "Name run folders of picture experiments.")
-        name = str(run.manifest.get("name", folder.name))
+        name = re.sub(r"[^A-Za-z0-9_-]", "-", str(run.manifest.get("name", folder.name)))[:64]  # it names files
         taken[name] += 1
-        entries.append(_entry(run, out, name if taken[name] == 1 else f"{name}-{taken[name]}"))
+        with sound(run):
+            entries.append(_entry(run, out, name if taken[name] == 1 else f"{name}-{taken[name]}"))
     environment = Environment(
         loader=PackageLoader("livlab.reports"),
         autoescape=True,
@@ -128,7 +130,7 @@ def _entry(run: RunData, out: Path, name: str) -> Entry:
 
 def _copied(run: RunData, row: dict[str, Any], out: Path, name: str) -> Image:
     """A picture copied beside the page: a gallery stands on its own."""
-    source = run.path / str(row["png"])
-    target = f"images/{name}-{row['png']}"
+    source = run.path / str(row["png"])  # `shown_pictures` has seen that it lies in the folder
+    target = f"images/{name}-{source.name}"
     write_whole(out / target, source.read_bytes())
     return Image(target, alt_text(run, row), caption(run, row, lit_by=True), *png_size(source))

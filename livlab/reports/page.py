@@ -18,7 +18,7 @@ from markupsafe import Markup
 from livlab.reports import cost, figures
 from livlab.reports.bench import bench_section
 from livlab.reports.effects import simulated
-from livlab.reports.folder import RunData, read_run
+from livlab.reports.folder import RunData, read_run, sound
 from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
     Claims,
@@ -62,6 +62,11 @@ def build_report(run_folder: Path) -> Path:
         The page cannot be written.
     """
     run = read_run(run_folder)
+    with sound(run):
+        return _built(run)
+
+
+def _built(run: RunData) -> Path:
     pictures = figures.Pictures()
     sections = [s for s in _sections(run, pictures) if s.content]
     environment = Environment(

@@ -12,6 +12,8 @@ RANKS = {
     "livlab": 0,
     "livlab.errors": 0,
     "livlab.files": 0,
+    "livlab.netcdf": 0,
+    "livlab.toml_text": 0,
     "livlab.config_errors": 0,
     "livlab.units": 0,
     "livlab.markup": 0,

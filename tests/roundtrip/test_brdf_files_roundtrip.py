@@ -178,7 +178,7 @@ def test_bad_merl(tmp_path):
         path.write_bytes(wrong)
         with pytest.raises(DatasetError, match="bytes"):
             read_merl(path)
-    with pytest.raises(DatasetError, match="Cannot read"):
+    with pytest.raises(DatasetError, match="cannot be read"):
         read_merl(tmp_path / "none.binary")
     path.write_bytes(content)
     with pytest.raises(InputError, match="channels"):

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import bz2
+import io
 import re
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
+from livlab.files import DENSEST, readable
 from livlab.model.shapes.volume import Segmentation
 
 MAX_VOXELS = 1_000_000_000
+MAX_BYTES = 16 * MAX_VOXELS
+"""What a file of so many voxels takes, at 128 bits each."""
+
+_ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 _IMAGES = (".png", ".tif", ".tiff")
 _LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -136,9 +144,11 @@ def _nifti(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
 
     notes = []
     try:
-        image: Any = nibabel.load(file)
+        # By its class, not by nibabel.load: that would follow an extension in the header to formats of many files.
+        image: Any = _nifti_class(file).from_filename(file)
         shape = tuple(int(n) for n in image.shape)
         _refuse_large(shape)
+        _refuse_empty_claim(file, shape, image.get_data_dtype().itemsize)
         unit = image.header.get_xyzt_units()[0] if hasattr(image.header, "get_xyzt_units") else "unknown"
         with nibabel.openers.ImageOpener(str(file)) as stream:  # a loaded header has been mended in silence
             written = type(image.header).from_fileobj(stream, check=False)
@@ -161,14 +171,23 @@ def _nifti(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
     return values, _LPS_FROM_RAS @ np.diag([scale, scale, scale, 1.0]) @ affine, notes
 
 
+def _nifti_class(file: Path) -> Any:
+    import nibabel
+
+    with nibabel.openers.ImageOpener(str(file)) as stream:
+        length = stream.read(4)
+    return nibabel.Nifti2Image if 540 in (int.from_bytes(length, order) for order in _ORDERS) else nibabel.Nifti1Image
+
+
 def _nrrd(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
     import nrrd  # type: ignore[import-untyped]
 
     notes = []
     try:
-        header = nrrd.read_header(str(file))
-        _refuse_large(tuple(int(n) for n in header["sizes"]))
-        values, header = nrrd.read(str(file))
+        with file.open("rb") as stream:
+            header = nrrd.read_header(stream)
+            _refuse_large(tuple(int(n) for n in header["sizes"]))
+            values = nrrd.read_data(header, io.BytesIO(_nrrd_content(file, header, stream)))
     except InputError:
         raise
     except Exception as error:
@@ -200,13 +219,47 @@ def _nrrd(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
     return values, np.diag([scale, scale, scale, 1.0]) @ affine, notes
 
 
+def _nrrd_content(file: Path, header: Any, stream: BinaryIO) -> bytes:
+    """The data of an NRRD file, decompressed to no more than its header says; `header` then describes these bytes.
+
+    pynrrd would follow a name to any file, skip lines without end, and decompress whatever there is.
+    """
+    import nrrd
+
+    named = header.pop("datafile", None) or header.pop("data file", None)
+    if named is not None:
+        beside = (file.parent / str(named)).resolve()
+        if beside.parent != file.parent.resolve():
+            raise InputError.of("volume, data file", str(named), "must lie beside the header", "Move it there.")
+        with readable(beside, "volume, data file", MAX_BYTES, _DAMAGED).open("rb") as data:
+            content = data.read()
+    else:
+        content = stream.read()
+    lines, skip = (
+        int(header.pop(a, header.pop(b, 0))) for a, b in (("lineskip", "line skip"), ("byteskip", "byte skip"))
+    )
+    for _ in range(min(lines, len(content))):
+        content = content[content.find(b"\n") + 1 :] if b"\n" in content else b""
+    itemsize = nrrd.reader._determine_datatype(header).itemsize
+    needed = int(np.prod([int(n) for n in header["sizes"]], dtype=object)) * itemsize
+    encoding = str(header["encoding"]).lower()
+    if encoding in ("gzip", "gz", "bzip2", "bz2"):
+        unpack: Any = zlib.decompressobj(zlib.MAX_WBITS | 16) if encoding.startswith("g") else bz2.BZ2Decompressor()
+        content = unpack.decompress(content, needed + max(skip, 0) + 1)
+        header["encoding"] = "raw"
+    if skip < -1:
+        raise ValueError(f"byte skip {skip}")
+    return content[-needed:] if skip == -1 else content[skip:]
+
+
 def _numpy(file: Path) -> tuple[NDArray[Any], NDArray[np.float64] | None]:
     try:
         if file.suffix.lower() == ".npy":
             mapped = np.load(file, mmap_mode="r", allow_pickle=False)
             _refuse_large(mapped.shape)
             return np.asarray(mapped), None
-        with np.load(file, allow_pickle=False) as held:
+        with np.load(readable(file, "volume", MAX_BYTES, _DAMAGED), allow_pickle=False) as held:
+            _refuse_bomb(file)
             spacing = held["spacing_mm"] if "spacing_mm" in held.files else None
             names = [name for name in held.files if name != "spacing_mm"]
             if len(names) != 1:
@@ -224,7 +277,7 @@ def _numpy(file: Path) -> tuple[NDArray[Any], NDArray[np.float64] | None]:
 
 def _images(folder: Path) -> NDArray[Any]:
     files = [f for f in folder.iterdir() if f.suffix.lower() in _IMAGES and not f.name.startswith(".")]
-    files.sort(key=lambda f: [int(word) if word.isdigit() else word.lower() for word in re.split(r"(\d+)", f.name)])
+    files.sort(key=lambda f: [int(word) if word.isdecimal() else word.lower() for word in re.split(r"(\d+)", f.name)])
     if len(files) < 2:
         raise InputError.of(
             "volume", str(folder), f"holds {len(files)} PNG or TIFF images, must hold two or more", "One a slice."
@@ -253,13 +306,37 @@ def _image(file: Path) -> NDArray[Any]:
         if file.suffix.lower() == ".png":
             from PIL import Image
 
-            with Image.open(file) as opened:
+            with Image.open(file, formats=("PNG",)) as opened:
+                _refuse_large(opened.size)
                 return np.asarray(opened)
         import tifffile
 
-        return np.asarray(tifffile.imread(file))
+        with tifffile.TiffFile(file) as stack:
+            _refuse_large(stack.series[0].shape)
+            return np.asarray(stack.asarray())
+    except InputError:
+        raise
     except Exception as error:
         raise _damaged(file, error) from error
+
+
+def _refuse_bomb(file: Path) -> None:
+    """Refuse an .npz whose arrays are larger than a volume may be, before one is unpacked."""
+    import zipfile
+
+    with zipfile.ZipFile(file) as held:
+        unpacked = sum(member.file_size for member in held.infolist())
+    if unpacked > MAX_BYTES:
+        bound = f"must unpack to at most {MAX_BYTES >> 30} GiB"
+        raise InputError.of("volume", f"{unpacked / 2**30:.1f} GiB", bound, "Save only the segmentation, cropped.")
+
+
+def _refuse_empty_claim(file: Path, shape: Sequence[int], itemsize: int) -> None:
+    """Refuse a header that claims more than its file can hold, however well it is compressed."""
+    claimed, size = int(np.prod([int(n) for n in shape], dtype=object)) * itemsize, file.stat().st_size
+    if claimed > (DENSEST if file.suffix == ".gz" else 1) * size:
+        bound = f"cannot be read: its header claims {claimed} bytes of voxels, and it has {size}"
+        raise InputError.of("volume", file.name, bound, _DAMAGED)
 
 
 def _refuse_large(shape: Sequence[int]) -> None:

@@ -12,8 +12,15 @@ from pydantic import Field, ValidationError, model_validator
 
 from livlab.config_errors import explain, nearest
 from livlab.errors import ConfigError, InputError
+from livlab.files import readable
 from livlab.model.tissue.spectra import Spec
 from livlab.model.tissue.tissue import Tissue, override
+from livlab.toml_text import parse_toml
+
+LARGEST_BYTES = 1 << 20
+"""A preset file is some pages."""
+
+_REMEDY = "Name a preset file (TOML)."
 
 
 class State(Spec):
@@ -89,9 +96,9 @@ def read_preset(name: str | Path) -> Preset:
     if isinstance(name, Path) or name.endswith(".toml"):
         path = Path(name)
         try:
-            text = path.read_text(encoding="utf-8")
+            text = readable(path, "preset", LARGEST_BYTES, _REMEDY, ConfigError).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path} cannot be read: {error}.", remedy="Name a preset file (TOML).") from None
+            raise ConfigError(f"{path} cannot be read: {error}.", remedy=_REMEDY) from None
         source = str(path)
     else:
         known = preset_names()
@@ -100,7 +107,7 @@ def read_preset(name: str | Path) -> Preset:
         text = (resources.files("livlab.model.tissue") / "preset_files" / f"{name}.toml").read_text(encoding="utf-8")
         source = f"preset {name}"
     try:
-        data = tomllib.loads(text)
+        data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: not TOML: {error}.", remedy="Mend the line.") from None
     try:

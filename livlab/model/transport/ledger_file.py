@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from livlab.errors import DatasetError, EnvironmentProblem
+from livlab.files import first_line
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.ledger_answer import Ledger
 from livlab.model.transport.ledger_data import Anchors, Coefficients, Compression, Entries
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
+from livlab.netcdf import NetcdfTrouble, load_netcdf
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -149,26 +151,23 @@ def load(path: Path | str) -> Ledger:
     DatasetError
         No such file, not a ledger, one of a later version, or a damaged one.
     """
-    import xarray as xr
-
     path = Path(path)
     if not path.is_file():
         raise DatasetError.of("ledger", str(path), "there is no such file", "Check the path.")
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            found = file.load()
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError) as error:
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise DatasetError.of("ledger", path.name, f"cannot be read ({first})", _REMEDY) from error
-    if found.attrs.get("format") != FORMAT:
+        found = load_netcdf(path)
+    except NetcdfTrouble as error:
+        raise DatasetError.of("ledger", path.name, f"cannot be read ({error})", _REMEDY) from error
+    assert found is not None
+    if not np.array_equal(found.attrs.get("format"), FORMAT):
         raise DatasetError.of("ledger", path.name, f"is no {FORMAT}", "Name a file that Ledger.save wrote.")
-    if found.attrs.get("version") != VERSION:
+    if not np.array_equal(found.attrs.get("version"), VERSION):
         version = found.attrs.get("version")
         raise DatasetError.of("ledger", path.name, f"has version {version}, this livlab reads {VERSION}", _REMEDY)
     try:
         ledger = _from(found)
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise DatasetError.of("ledger", path.name, f"is damaged ({error})", _REMEDY) from error
+    except (LookupError, ValueError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+        raise DatasetError.of("ledger", path.name, f"is damaged ({first_line(error)})", _REMEDY) from error
     held = {str(name): values.to_numpy() for name, values in found.variables.items()}
     if _digest(held, str(found.attrs["ledger"])) != found.attrs.get("sha256"):
         raise DatasetError.of("ledger", path.name, "is damaged (its numbers do not match their checksum)", _REMEDY)

@@ -1,0 +1,42 @@
+"""One target in this process: `python -m fuzz.one TARGET PLACE [options of libFuzzer]`."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import sys
+import warnings
+from pathlib import Path
+
+
+def main() -> None:
+    """Make the seeds, then hand inputs to the reader until their number is reached or something is found."""
+    import atheris
+
+    name, place = sys.argv[1], Path(sys.argv[2])
+    from fuzz.targets import TARGETS, attempt, bounded
+
+    target = TARGETS[name]
+    with atheris.instrument_imports(include=["livlab", *target.traced], exclude=["livlab.model.tissue.mie"]):
+        for module in target.traced:
+            __import__(module)
+        from fuzz.seeds import seeds
+
+        start = seeds(name, place / "seed")
+        for k, content in enumerate(start):
+            (place / "corpus" / f"seed-{k}").write_bytes(content)
+        attempt(target, start[0], place / "attempt", place / "seed" / "folder")  # what is imported on use, is now
+    warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
+
+    def once(content: bytes) -> None:
+        attempt(target, content, place / "attempt", place / "seed" / "folder")
+
+    atheris.Setup([sys.argv[0], *sys.argv[3:]], once)
+    with bounded(), contextlib.redirect_stdout(open(os.devnull, "w")):  # noqa: PTH123
+        atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()
