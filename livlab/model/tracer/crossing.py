@@ -49,7 +49,8 @@ def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any
     if kernel.interfaces > 1:
         interface = dr.select(lost, 0, hit.interface)
         upwards = exits & (~hit.outward | lost)
-    out = -place.inward if kernel.field else s.d
+    # Where the normal was last looked up may be far, unless layers asked for it.
+    out = -place.inward if kernel.flights.layered else s.d
     normal = dr.select(lost, out, hit.normal)
     eta = _ratio(kernel, s, interface, upwards, any_)
     # A smoothed normal may send light to the wrong side of the surface: there the facet's own is taken.
@@ -85,6 +86,8 @@ def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any
         # At the surface its depth is known: nothing to look up.
         place.depth = dr.select(any_, 0.0, place.depth)
         place.inward = dr.select(any_, -normal, place.inward)
+        # What is outside by rounding and mirrored there would be outside again.
+        s.p = dr.select(lost & reflects, dr.fma(kernel.nudge(s.p), place.inward, s.p), s.p)
         place.trust = dr.select(any_, kernel.flights.patch, place.trust)
         place.clear = dr.select(any_, 0.0, place.clear)
     elif kernel.peel is not None:

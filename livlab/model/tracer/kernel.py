@@ -42,6 +42,9 @@ CREEP = 5e-7
 """Step, as part of the coordinates, past a hit that cannot be one: the surface that a ray has just left. A float knows
 coordinates to 6e-8 of themselves."""
 
+GRAZING = 1e-3
+"""Least cosine with the surface that such a step is lengthened for."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -250,7 +253,7 @@ class Kernel:
             over = dr.select(missed, dr.maximum(-depth * dr.rcp(dr.minimum(flight.slope, -1e-6)), 0.0), 0.0)
         lost |= missed
         goes = inside & ~lost
-        creep = hit.t + self.creep(s.p)
+        creep = hit.t + self.creep(s.p, hit)
         path = dr.select(exits, hit.t, dr.select(stray, dr.minimum(creep, flight.reach), flight.reach))
         path = dr.select(goes, path, over)
         whole = goes & ~near
@@ -284,8 +287,13 @@ class Kernel:
         s.troubles = s.troubles + dr.select(lost, mi.UInt32(1 << 16), 0)
         return s
 
-    def creep(self, p: Any) -> Any:
-        """How far to go on from a hit that cannot be one."""
+    def creep(self, p: Any, hit: Hit) -> Any:
+        """How far to go on from a hit that cannot be one: until rounding cannot have it in the way again."""
+        dr = self.dr
+        return self.nudge(p) * dr.rcp(dr.maximum(dr.abs(dr.dot(hit.facet, hit.ray.d)), GRAZING))
+
+    def nudge(self, p: Any) -> Any:
+        """More than a point can be off by rounding."""
         dr = self.dr
         return dr.fma(dr.maximum(dr.maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z)), CREEP, self.least)
 

@@ -147,8 +147,11 @@ class Peel:
         eta = self.ratio(s, s.medium - 1, True)
         inside, _, cosine = self.bend(self.toward(s.aim, s.p), -s.place.inward, eta)
         w = 0.5 * dr.squared_norm(s.d - inside)
-        depth = dr.maximum(s.place.depth, 0.0) if self.flights.layered else mi.Float(0.0)
-        tau = self.m.pick(s.meeting.layer, self.least) * depth * dr.rcp(dr.maximum(cosine, 0.1))
+        # Never more than the surface's own nearness allows, nor by far: what is asked for too seldom weighs too much.
+        depth, place = mi.Float(0.0), s.place
+        if self.flights.layered:
+            depth = dr.maximum(dr.select(place.depth < self.shallow, place.depth, place.clear), 0.0)
+        tau = self.m.pick(s.meeting.layer, self.least) * depth * dr.rcp(dr.maximum(cosine, 0.7))
         return dr.minimum(BOOST * dr.maximum(12.566 * density(w), FLOOR) * dr.exp(-tau), 1.0)
 
     def strength(self, s: State, y: Any, active: Any) -> list[Any]:
@@ -280,7 +283,8 @@ class Peel:
         for last_try in (False, True):
             legs: list[Any] = []
             cosines: list[Any] = []
-            y, good, path = s.p, goes, mi.Float(0.0)
+            y, path = s.p, mi.Float(0.0)
+            good = goes & True  # a mask of its own: `&=` changes in place
             first, found = mi.Vector3f(0.0), normal
             for r in reversed(range(self.regions)):
                 ratio = self.ratio(s, mi.UInt32(r), goes)
@@ -291,13 +295,15 @@ class Peel:
                 here = good & (s.medium - 1 >= r)
                 if last_try:
                     here &= out > 0.0
-                hit = self.k.surface.meet(mi.Ray3f(y, inside), here)
+                # Past the interface that the last leg ended at: rounding may have left it ahead.
+                past = dr.select(s.medium - 1 > r, self.lift, 0.0)
+                hit = self.k.surface.meet(mi.Ray3f(dr.fma(past, inside, y), inside), here)
                 good &= ~here | (hit.body & ~hit.outward & (hit.interface == r))
                 if last_try:
                     good &= out > 0.0
                 first = dr.select(s.medium - 1 == r, inside, first)
                 y = dr.select(here, hit.p, y)
-                legs.insert(0, dr.select(here, hit.t, 0.0))
+                legs.insert(0, dr.select(here, hit.t + past, 0.0))
                 cosines.insert(0, cosine)
                 path = path + legs[0]
                 last, found = hit, dr.select(here, hit.normal, found)
