@@ -144,6 +144,7 @@ Metric = Literal[
     "colour difference",
     "relative error",
     "seconds",
+    "speed",
     "memory",
 ]
 
@@ -157,7 +158,8 @@ class PictureCriterion(Section):
 
     metric: Metric = Field(
         description="lightness L*, chroma C*, hue h in degrees; differences of L*, a* (redness), b* (yellowness) and "
-        "h; colour difference ΔE00; relative error (median over the lit body); seconds and memory (GiB at its peak)."
+        "h; colour difference ΔE00; relative error (median over the lit body); seconds; speed in samples a second, "
+        "compiling apart; memory (GiB at its peak)."
     )
     reading: Label = Field("all", description="Reading by name, or all.")
     of: Label | None = Field(None, description="A compared tissue by name; the picture's own if not said.")

@@ -11,7 +11,7 @@ import numpy as np
 from livlab.acquire.camera_film import Film
 from livlab.acquire.camera_scene import OUTER, BodySurfaces, body_mesh, check_layering, furnish, nested_stack, surfaces
 from livlab.config_picture import PictureExperiment
-from livlab.model.shapes import distance_field
+from livlab.model.shapes import creased, distance_field
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer import stage
 from livlab.model.tracer.baselines import Name, baseline_optics, render_baseline
@@ -172,8 +172,8 @@ class Camera:
         mi = mitsuba(variant)
         if key not in self._scenes:
             # A cut has edges, which interpolated normals would round.
-            smooth = self.config.geometry.cut is None
-            shapes = {name: stage.surface(mi, mesh, smooth=smooth) for name, mesh in found.meshes.items()}
+            sharp = self.config.geometry.cut is not None
+            shapes = {n: stage.surface(mi, creased(m) if sharp else m) for n, m in found.meshes.items()}
             self._scenes[key] = mi.load_dict({"type": "scene", **furnish(mi, self.config), **shapes}, optimize=False)
         return self._scenes[key]
 

@@ -24,6 +24,10 @@ def gallery(
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the page and its pictures.")] = Path("gallery"),
     base: Annotated[Path, typer.Option("--runs", help="Folder that is searched if no run is named.")] = Path("runs"),
+    small: Annotated[
+        int | None,
+        typer.Option("--small", help="No page: only the pictures, made so many pixels wide.", metavar="WIDTH"),
+    ] = None,
 ) -> None:
     """Put the pictures of several runs on one page that needs no network."""
     from livlab.reports.gallery import build_gallery
@@ -33,7 +37,13 @@ def gallery(
         raise ConfigError(
             f"{base} holds no finished picture.", remedy="Make some: livlab run experiments/liver-*.toml, or name runs."
         )
-    typer.echo(build_gallery(folders, out))
+    if small is None:
+        typer.echo(build_gallery(folders, out))
+        return
+    from livlab.reports.gallery_small import small_copies
+
+    for path in small_copies(folders, out, small):
+        typer.echo(path)
 
 
 def finished(base: Path) -> list[Path]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from livlab.reports import picture_figures as drawn
 from livlab.reports.figures import Pictures
-from livlab.reports.folder import RunData
+from livlab.reports.folder import RunData, beneath
 from livlab.reports.picture_words import alt_text, caption, findings, light_words, own_name
 from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
 
@@ -39,7 +39,7 @@ def shown_pictures(run: RunData, *, baselines: bool = False) -> list[dict[str, A
     if not len(table):
         return []
     rows = [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]
-    return [r for r in rows if pd.notna(r.get("baseline")) == baselines and (run.path / str(r["png"])).is_file()]
+    return [r for r in rows if pd.notna(r.get("baseline")) == baselines and beneath(run.path, r.get("png")) is not None]
 
 
 def png_size(path: Path) -> tuple[int, int]:
@@ -176,13 +176,14 @@ def _absorption(run: RunData, pictures: Pictures) -> Section:
                 if several
                 else optics.drop(columns="tissue"),
                 "What colour comes from: the parenchyma at the channels' middles. The reduced albedo is "
-                "µs'/(µa + µs'); a redirection keeps only the share shown of the light.",
+                "µs'/(µa + µs'); a redirection keeps only the share shown of the light; above it lies the capsule.",
                 titles={
                     "wavelength_nm": "wavelength [nm]",
                     "absorption_per_mm": "µa [1/mm]",
                     "reduced_scattering_per_mm": "µs' [1/mm]",
                     "reduced_albedo": "reduced albedo",
                     "kept_by_redirection": "kept by a redirection",
+                    "depth_above": "µs' × thickness above",
                 },
             )
         )

@@ -7,11 +7,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from livlab.reports.figures import DASHES, INK, MARKERS, MUTED, RULE, colour, style
 
 PRIMARIES_NM = (700.0, 546.1, 435.8)
 """Red, green and blue of Nunes 2019, eq. 6.20."""
+
+
+def plain_log(axis: Any) -> None:
+    """Ticks of a logarithmic axis as plain numbers, 1, 2 and 5 of each power of ten."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def name_of(row: Any, own: str = "") -> str:
@@ -68,6 +76,7 @@ def absorption(table: pd.DataFrame, own: str = "") -> Figure:
         for x in PRIMARIES_NM:
             ax.axvline(x, color=MUTED, lw=0.8, ls=(0, (1, 2)), zorder=0)
         ax.set_yscale("log")
+        plain_log(ax.yaxis)
         ax.set_xlabel("wavelength [nm]")
         ax.set_ylabel("absorption coefficient [1/mm]")
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -108,6 +117,8 @@ def convergence(table: pd.DataFrame, own: str = "") -> Figure:
                 ax.plot(guide, e[-1] * (guide / t[-1]) ** -0.5, color=colour(k), lw=1, ls=(0, (4, 3)))
         ax.set_xscale("log")
         ax.set_yscale("log")
+        plain_log(ax.xaxis)
+        plain_log(ax.yaxis)
         ax.set_xlabel("time [s]")
         ax.set_ylabel("relative standard error [%]")
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
@@ -126,6 +137,8 @@ def ways(table: pd.DataFrame) -> Figure:
             )  # fmt: skip
         ax.set_xscale("log")
         ax.set_yscale("log")
+        plain_log(ax.xaxis)
+        plain_log(ax.yaxis)
         ax.set_xlabel("time of one picture, all wavelengths, compiling apart [s]")
         ax.set_ylabel("image error [% of the mean radiance]")
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)

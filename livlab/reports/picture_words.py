@@ -159,7 +159,7 @@ def findings(run: RunData) -> list[str]:
 
 def _why(run: RunData, optics: pd.DataFrame, reading: str, claim: str) -> str:
     """What the colour of a reading comes from, at the channels' middles, from red to blue."""
-    if claim.startswith(("seconds", "memory", "relative error")):
+    if claim.startswith(("seconds", "speed", "memory", "relative error")):
         return ""
     mine = optics[optics["reading"] == reading].assign(tissue=tissues(optics))
     mine = mine.sort_values("wavelength_nm", ascending=False)
@@ -173,5 +173,8 @@ def _why(run: RunData, optics: pd.DataFrame, reading: str, claim: str) -> str:
         kept = rows["kept_by_redirection"].dropna()
         if len(kept) and float(kept.iloc[0]) < 1:
             text += f", each redirection keeping {100 * float(kept.iloc[0]):.0f} % of the light"
+        if "depth_above" in rows and rows["depth_above"].notna().all():
+            above = " / ".join(number(float(v), 2) for v in rows["depth_above"])
+            text += f", the capsule above scatters with a reduced depth of {above}"
         told.append(f"{str(tissue) or own_name(run)}: {text}" if tissue or own_name(run) else text)
     return " Red / green / blue, parenchyma under this reading: " + "; ".join(told) + "." if told else ""

@@ -272,7 +272,8 @@ def _baselines(run: Run, work: Work) -> dict[str, FloatArray]:
 def _seen(work: Work, key: Key, film: Film) -> Seen:
     lit, exposure = work.camera.lit, work.config.colour.exposure
     colours = {name: mean_colour(film, route, exposure) for name, route in work.routes.items()}
-    return Seen(colours, film.relative_error(lit), film.seconds, peak_memory_gib())
+    speed = film.samples * film.total[:, :, 0].size / max(film.walking_seconds, 1e-9)
+    return Seen(colours, film.relative_error(lit), film.seconds, peak_memory_gib(), speed)
 
 
 def peak_memory_gib() -> float:

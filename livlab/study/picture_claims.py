@@ -28,6 +28,7 @@ class Seen:
     relative_error: float
     seconds: float
     memory_gib: float
+    samples_per_second: float = float("nan")
 
 
 def judge(config: PictureExperiment, pictures: Mapping[Key, Seen]) -> list[Claim]:
@@ -65,6 +66,8 @@ def _value(
         return own.relative_error, 0.0
     if c.metric == "seconds":
         return own.seconds, 0.0
+    if c.metric == "speed":
+        return own.samples_per_second, 0.0
     if c.metric == "memory":
         return own.memory_gib, 0.0
     route = c.route or config.colour.routes[0]

@@ -13,6 +13,7 @@ from livlab.acquire.camera_film import Film
 from livlab.config_picture import Colour
 from livlab.model.colour import channel_wavelengths, cie_weights, stochastic_weights, thesis_weights, to_rgb
 from livlab.model.colour.difference import SRGB_TO_XYZ
+from livlab.model.colour.science import colour_science
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
@@ -165,9 +166,9 @@ def propagated(
 
 def lab(rgb: FloatArray) -> FloatArray:
     """(…, 3) CIELAB of linear sRGB, white (1, 1, 1) being its white."""
-    from colour.models import XYZ_to_Lab, XYZ_to_xy
-
-    return np.asarray(XYZ_to_Lab(np.asarray(rgb) @ SRGB_TO_XYZ.T, XYZ_to_xy(SRGB_TO_XYZ.sum(axis=1))))
+    models = colour_science().models
+    white = models.XYZ_to_xy(SRGB_TO_XYZ.sum(axis=1))
+    return np.asarray(models.XYZ_to_Lab(np.asarray(rgb) @ SRGB_TO_XYZ.T, white))
 
 
 def coordinate(found: FloatArray, what: str) -> float:

@@ -17,8 +17,9 @@ from livlab.model.tissue.tissue import Tissue
 if TYPE_CHECKING:
     from livlab.model.effects.plan import Plan
 
-LOOKED_AT = 5
-"""Wavelengths that are planned for, spread evenly over the picture's: each is worked out once an effect."""
+LOOKED_AT = 3
+"""Wavelengths that are planned for: where the last layer absorbs least and most, and between. Each is worked out once
+an effect, so that a plan takes about 3 s of a core a wavelength where there are many effects."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,16 @@ class PicturePlan:
         )
 
 
+def looked_at_of(stack: OpticalStack) -> list[int]:
+    """Indices of the wavelengths that are planned for, rising."""
+    absorbed = sum(
+        ((1.0 - i.albedo) * i.rate for i in stack.layers[-1].interactions), np.zeros_like(stack.wavelength_nm)
+    )
+    count = len(absorbed)
+    ranks = np.linspace(0, count - 1, min(LOOKED_AT, count)).round().astype(int)
+    return sorted(np.argsort(absorbed, kind="stable")[ranks].tolist())
+
+
 def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, stack: OpticalStack) -> PicturePlan:
     """The plan for flat layers of a tissue that a camera sees; a body that is thin or lit from behind is beyond it.
 
@@ -66,8 +77,7 @@ def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, st
     asked = config.effects
     if asked is None:
         raise InputError.of("effects", None, "asks for no plan", "Write effects = 'auto'.")
-    count = len(stack.wavelength_nm)
-    looked_at = np.unique(np.linspace(0, count - 1, min(LOOKED_AT, count)).round().astype(int)).tolist()
+    looked_at = looked_at_of(stack)
     made = plan(
         stack.at(looked_at),
         HyperspectralCamera(),

@@ -9,7 +9,7 @@ import xarray as xr
 
 from livlab.acquire.camera_film import Film
 from livlab.model.colour import delta_e_2000, encode_srgb
-from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack
+from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, PlaneLayer
 from livlab.study.picture_claims import Key, Seen
 from livlab.study.picture_colour import ColourRoute, coordinate
 
@@ -119,24 +119,15 @@ def optics(stacks: Mapping[Key, OpticalStack], wavelength_nm: Sequence[float]) -
     """What colour comes from: absorption and reduced scattering of the last layer at some wavelengths.
 
     Scattering counts (1 − g) of each element; `kept_by_redirection` is the mean factor that Algorithm 2 leaves.
-    A free path that Algorithm 1 absorbs (shorter than a cell) counts as absorption.
+    A free path that Algorithm 1 absorbs (shorter than a cell) counts as absorption. `depth_above` is the reduced
+    scattering of the layers above times their thickness: a haze over the last one, if its own colour is dark.
     """
     rows: Rows = []
     for (tissue, reading), stack in stacks.items():
-        layer = stack.layers[-1]
-        total = sum((i.rate for i in layer.interactions), np.zeros_like(layer.n))
         for x in wavelength_nm:
             k = int(np.abs(stack.wavelength_nm - x).argmin())
-            absorbed = scattered = met = kept = 0.0
-            for i in layer.interactions:
-                short = -np.expm1(-total[k] * i.absorb_below_mm)
-                survives = float(i.albedo[k] * (1.0 - short))
-                redirected = float(i.rate[k]) * survives
-                absorbed += float(i.rate[k]) * (1.0 - survives)
-                if redirected > 0:
-                    scattered += redirected * (1.0 - i.phases[k].anisotropy)
-                    met += redirected
-                    kept += redirected * REDIRECT_MEAN[i.redirect]
+            absorbed, scattered, kept = _coefficients(stack.layers[-1], k)
+            above = sum(_coefficients(layer, k)[1] * layer.thickness_mm for layer in stack.layers[:-1])
             rows.append(
                 {
                     "tissue": tissue,
@@ -145,11 +136,28 @@ def optics(stacks: Mapping[Key, OpticalStack], wavelength_nm: Sequence[float]) -
                     "absorption_per_mm": absorbed,
                     "reduced_scattering_per_mm": scattered,
                     "reduced_albedo": scattered / (absorbed + scattered) if absorbed + scattered > 0 else None,
-                    "kept_by_redirection": kept / met if met > 0 else None,
+                    "kept_by_redirection": kept,
+                    "depth_above": above if len(stack.layers) > 1 else None,
                 }
             )
     columns = (
         "tissue", "reading", "wavelength_nm", "absorption_per_mm", "reduced_scattering_per_mm", "reduced_albedo",
-        "kept_by_redirection",
+        "kept_by_redirection", "depth_above",
     )  # fmt: skip
     return columns, rows
+
+
+def _coefficients(layer: PlaneLayer, k: int) -> tuple[float, float, float | None]:
+    """Absorption and reduced scattering in 1/mm, and what a redirection keeps on average; at one wavelength."""
+    total = sum(float(i.rate[k]) for i in layer.interactions)
+    absorbed = scattered = met = kept = 0.0
+    for i in layer.interactions:
+        short = -np.expm1(-total * i.absorb_below_mm)
+        survives = float(i.albedo[k] * (1.0 - short))
+        redirected = float(i.rate[k]) * survives
+        absorbed += float(i.rate[k]) * (1.0 - survives)
+        if redirected > 0:
+            scattered += redirected * (1.0 - i.phases[k].anisotropy)
+            met += redirected
+            kept += redirected * REDIRECT_MEAN[i.redirect]
+    return absorbed, scattered, kept / met if met > 0 else None
