@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from livlab.api.fitting import fit as fit
     from livlab.api.running import RunResult as RunResult
     from livlab.api.running import open_run as open_run
+    from livlab.api.running import rerun as rerun
     from livlab.api.running import run as run
     from livlab.api.simulate import spectrum as spectrum
     from livlab.api.simulate import tissue as tissue
@@ -43,7 +44,7 @@ _LAZY = {
     "Spectrum": "livlab.api.curve",
     **dict.fromkeys(("read_spectrum", "reference"), "livlab.api.sources"),
     **dict.fromkeys(("FitResult", "fit"), "livlab.api.fitting"),
-    **dict.fromkeys(("RunResult", "open_run", "run"), "livlab.api.running"),
+    **dict.fromkeys(("RunResult", "open_run", "rerun", "run"), "livlab.api.running"),
     **dict.fromkeys(("spectrum", "tissue"), "livlab.api.simulate"),
     "Reading": "livlab.model.tissue.readings",
 }
@@ -66,6 +67,7 @@ __all__ = [
     "open_run",
     "read_spectrum",
     "reference",
+    "rerun",
     "run",
     "spectrum",
     "tissue",

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 _LINE = "border-bottom:1px solid rgba(128,128,128,.35)"
+_SHORT = 28
 _VERDICTS = {"PASS": "#00805f", "FAIL": "#d23c00", "MISSING": "#a67c00"}
 
 
@@ -83,4 +84,5 @@ def _cell(value: object) -> str:
         return f'<td style="text-align:right">{value}</td>'
     shown = escape(str(value))
     ink = _VERDICTS.get(str(value))
-    return f'<td style="text-align:left">{f"<b style=color:{ink}>{shown}</b>" if ink else shown}</td>'
+    whole = ";white-space:nowrap" if len(str(value)) <= _SHORT else ""
+    return f'<td style="text-align:left{whole}">{f"<b style=color:{ink}>{shown}</b>" if ink else shown}</td>'

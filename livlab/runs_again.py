@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from livlab import markup
 from livlab.config import Experiment, parse_experiment
 from livlab.errors import DatasetError, InputError, LivlabError
 from livlab.runs import RESULT_VERSION, digest, execute, machine, read_manifest
@@ -58,7 +59,7 @@ class Original:
         return str(self.manifest.get("name", self.folder.name))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Again:
     """A run done again.
 
@@ -83,6 +84,24 @@ class Again:
     def same(self) -> bool:
         """Whether every file holds the same result."""
         return all(file.same for file in self.files)
+
+    def __bool__(self) -> bool:
+        return self.same
+
+    def __repr__(self) -> str:
+        told = "the same" if self.same else f"differs in {', '.join(f.name for f in self.files if not f.same)}"
+        return f"<Again {self.original.name!r}: {told}, {len(self.differences)} differences around it>"
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return markup.card(
+            f"{self.original.name}, again",
+            "the results are the same" if self.same else "the results differ",
+            markup.table(
+                ["file", "result", "where, and by how much"], [(f.name, f.verdict, f.detail) for f in self.files]
+            ),
+            markup.table(["not as it was", "then", "now"], [(d.what, d.then, d.now) for d in self.differences]),
+        )
 
 
 def read_original(path: Path) -> Original:

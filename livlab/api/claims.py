@@ -53,11 +53,12 @@ class Claims(tuple[Claim, ...]):
                 format_with_error(c.value, c.standard_error),
                 "–" if c.reference is None else f"{format_value(c.reference)} ± {format_value(c.tolerance)}",
                 c.verdict,
-                c.note,
             )
             for c in self
         ]
-        return markup.card("Claims", repr(self)[1:-1], markup.table(["criterion", "value", "wanted", "", ""], rows))
+        said = [f"{c.criterion}: {c.note}" for c in self if c.note]
+        columns = ["criterion", "value", "wanted", ""]
+        return markup.card("Claims", repr(self)[1:-1], markup.table(columns, rows), markup.notes(said))
 
     def to_pandas(self) -> pd.DataFrame:
         """Index criterion; the columns of claims.csv, and note."""

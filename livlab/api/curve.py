@@ -100,7 +100,7 @@ class Spectrum:
         rows.append(("standard error", f"at most {known.max():.2g}" if known.size else "not known"))
         if self.data is not None:
             rows.append(("solver", self.data.attrs.get("rung", "")))
-            rows.append(("seconds", round(float(self.data.attrs.get("seconds", 0.0)), 3)))
+            rows.append(("seconds", f"{float(self.data.attrs.get('seconds', 0.0)):.3g}"))
         try:
             patch = f"<p>{markup.swatch(self.srgb().tolist(), 'under D65')} as seen under D65</p>"
         except InputError:  # wavelengths that leave the eye out

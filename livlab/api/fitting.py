@@ -39,7 +39,8 @@ class FitResult:
     Attributes
     ----------
     table
-        Index label; path, unit, value, lower, upper, sd, drift, status.
+        Index label; path, unit, value, lower, upper, sd, drift, status, and `open`: ends that are bounds which the data
+        do not exclude.
     scores
         Index measurement; points, rmse, pearson of the normalised curves, and the same at the start.
     correlation
@@ -231,6 +232,7 @@ def fit(
         max_evaluations=config.search.max_evaluations,
         max_seconds=config.search.max_seconds,
         most_recordings=config.search.most_recordings,
+        level=config.level,
     )
     best = forward.answer(found.best)
     begun = forward.answer(found.space.values(found.space.vector({})))
@@ -320,11 +322,11 @@ def _target(label: str, s: Spectrum, grid: FloatArray, scaling: Scaling, loss: L
 
 
 def _table(config: FitExperiment, found: FitOutcome) -> pd.DataFrame:
-    frame = found.intervals(config.level).rename_axis("path").reset_index()
+    frame = found.intervals().rename_axis("path").reset_index()
     frame.insert(0, "parameter", [config.labels()[str(p)] for p in frame["path"]])
     units = {p.path: p.unit for p in config.parameter}
     frame["unit"] = [units[str(p)] for p in frame["path"]]
-    return frame.set_index("parameter")[["path", "unit", "value", "lower", "upper", "sd", "drift", "status"]]
+    return frame.set_index("parameter")[["path", "unit", "value", "lower", "upper", "sd", "drift", "status", "open"]]
 
 
 def _scores(targets: Sequence[Target], best: FloatArray, first: FloatArray) -> pd.DataFrame:

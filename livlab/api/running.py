@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from livlab.reports.folder import RunData
+    from livlab.runs_again import Again
 
-_MAIN = {"spectral": "spectra", "fit": "fit"}
+_MAIN = {"spectral": "spectra", "fit": "fit", "study": "results", "picture": "pictures", "brdf": "fits"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,7 +157,7 @@ class RunResult:
         return self.spectra[reading]
 
     def to_pandas(self) -> pd.DataFrame:
-        """The main table: spectra of a spectral run, parameters of a fit, else the claims."""
+        """The main table: spectra of a spectral run, parameters of a fit, results of a study, else the claims."""
         main = _MAIN.get(self.kind, "")
         return self.table(main) if main in self.tables else self.claims.to_pandas()
 
@@ -186,8 +187,8 @@ class RunResult:
             ("kind", self.kind),
             ("status", self.manifest.get("status", "unknown")),
             ("folder", str(self.folder)),
-            ("seed", self.manifest.get("seed")),
-            ("seconds", self.manifest.get("seconds")),
+            ("seed", str(self.manifest.get("seed", ""))),
+            ("seconds", str(self.manifest.get("seconds", ""))),
             ("livlab", self.manifest.get("livlab", "")),
             ("tables", ", ".join(self.tables)),
         ]
@@ -265,12 +266,11 @@ def run(
         experiment = load_experiment(config)
     else:
         raise InputError.of("config", type(config).__name__, "is no experiment", "Give a path, a name or a table.")
-    watched = (Printed() if progress else Silent()) if isinstance(progress, bool) else progress
     outcome = execute(
         experiment,
         base=Path(out),
         force=force,
-        progress=watched,
+        progress=_watched(progress),
         report=report,
         scheduler=scheduler,
         shared=store,
@@ -289,6 +289,38 @@ def open_run(folder: Path | str) -> RunResult:
     found = RunResult(Path(folder), cached=True)
     _ = found.manifest  # a folder that is no run is told here, and not at the first question
     return found
+
+
+def rerun(run: RunResult | Path | str, *, out: Path | str | None = None, progress: Progress | bool = False) -> Again:
+    """Do a run again from its manifest and compare every file of the result: `livlab rerun` from Python.
+
+    Parameters
+    ----------
+    run
+        A run, its folder, or a manifest.json alone.
+    out
+        Folder for the new run folder; `reruns` beside the run if not said.
+    progress
+        As `livlab.run`.
+
+    Returns
+    -------
+    The comparison; `same` says whether the results are the same, `differences` what is not as it was.
+
+    Raises
+    ------
+    InputError, DatasetError
+        As `livlab.runs_again.read_original` and `run_again`.
+    """
+    from livlab.runs_again import read_original, run_again
+
+    folder = run.folder if isinstance(run, RunResult) else Path(run)
+    base = None if out is None else Path(out)
+    return run_again(read_original(folder), base, progress=_watched(progress), report=False)
+
+
+def _watched(progress: Progress | bool) -> Progress:
+    return (Printed() if progress else Silent()) if isinstance(progress, bool) else progress
 
 
 def plain(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Any, Self
@@ -11,6 +12,7 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from livlab import markup
 from livlab.config_errors import explain, nearest
 from livlab.errors import ConfigError, InputError
+from livlab.model.tissue.elements import Element, Mixture
 from livlab.model.tissue.layers import FlatLayer, Layer
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.spectra import Index, Spec, names_of
@@ -76,23 +78,20 @@ class Tissue(Spec):
         return self
 
     def __repr__(self) -> str:
-        layers = ", ".join(f"{x.name} {x.thickness_mm:g} mm" for x in self.layers)
+        layers = ", ".join(f"{x.name} {_thickness(x)}" for x in self.layers)
         return f"<Tissue {self.name}{f', {self.state}' if self.state else ''}: {layers}>"
+
+    __str__ = __repr__
 
     def _repr_html_(self) -> str:
         """As a notebook shows it: each layer, its elements, and where each number came from."""
         parts = []
         for layer in self.layers:
             index = layer.index if isinstance(layer.index, float) else layer.index.kind
-            rows = [
-                (name, element.kind, key, _shown(value), element.sources.get(key, ""))
-                for name, element in layer.elements.items()
-                for key, value in element
-                if key not in ("kind", "sources") and value not in (None, "")
-            ]
-            thick = f"{layer.thickness_mm:g} mm, index {index}"
+            rows = [row for name, element in layer.elements.items() for row in _rows(name, element)]
+            thick = f"{_thickness(layer)}, index {index}"
             sublayers = f", {len(layer.profile)} sublayers" if layer.profile else ""
-            columns = ("element", "kind", "value", "", "source")
+            columns = ("element", "", "value", "unit", "source")
             parts.append(markup.card(layer.name, thick + sublayers, markup.table(columns, rows)))
         about = ", ".join(filter(None, (self.state.replace("_", " "), self.description)))
         return markup.card(self.name, about, *parts)
@@ -218,13 +217,24 @@ def override(tissue: Tissue, changes: Mapping[str, Any], *, by: str = "user") ->
     return type(tissue).parse(data, source=f"tissue {tissue.name}")
 
 
-def _shown(value: Any) -> object:
-    """A value as a table shows it: nested ones by what they hold."""
-    if isinstance(value, Spec):
-        return ", ".join(f"{k} {_shown(v)}" for k, v in value if v is not None and v != "")
-    if isinstance(value, Mapping):
-        return "; ".join(f"{k}: {_shown(v)}" for k, v in value.items())
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else value
+def _thickness(layer: Layer) -> str:
+    return "endless" if math.isinf(layer.thickness_mm) else f"{layer.thickness_mm:g} mm"
+
+
+def _rows(name: str, element: Element) -> list[tuple[object, ...]]:
+    """Rows of an element in a table: its numbers with unit and source, then the datasets it draws on."""
+    title = f"{name} ({element.kind.replace('_', ' ')})"
+    rows: list[tuple[object, ...]] = []
+    for key, value in element:
+        if isinstance(value, float):
+            unit = element.units.get(key, "")
+            bare = re.sub(r"_(um|nm|per_cm|g_per_l)$", "", key).replace("_", " ")
+            rows.append((title, bare, value, "" if unit == "1" else unit, element.sources.get(key, "")))
+    if isinstance(element, Mixture):
+        for part, share in element.shares().items():
+            rows.append((title, f"share of {part}", share, "", element.sources.get(f"parts.{part}.share", "")))
+    rows += [(title, "dataset", text, "", "") for text in element.dataset_names()]
+    return [("" if k else title, *row[1:]) for k, row in enumerate(rows)]
 
 
 def _place(data: Any, path: str) -> tuple[Any, Any]:
