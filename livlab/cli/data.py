@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from livlab.datasets import DatasetMeta
     from livlab.datasets.draft import Draft
 
-app = typer.Typer(help="Datasets: list, show, check, plot, add.", no_args_is_help=True)
+app = typer.Typer(help="Datasets: list, show, check, plot, add, licences.", no_args_is_help=True)
 
 _T = TypeVar("_T")
 Search = Annotated[
@@ -57,6 +57,14 @@ def list_(search: Search = None) -> None:
         console.print("\nReferences that are not available; livlab data show NAME says how to supply one:")
         for name, entry in missing.items():
             console.print(f"  {name}  {escape(entry.title)}", highlight=False)
+
+
+@app.command()
+def licences() -> None:
+    """Print sources and licences of livlab's own datasets as Markdown."""
+    from livlab.datasets.licences import licences_page
+
+    typer.echo(licences_page(), nl=False)
 
 
 @app.command()
