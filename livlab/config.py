@@ -86,9 +86,11 @@ class Kind:
 KINDS: dict[str, Kind] = {
     "brdf": Kind("livlab.config_brdf:BrdfExperiment", "livlab.study.brdf:prepare"),
     "fit": Kind("livlab.config_fit:FitExperiment", "livlab.study.fit_job:prepare"),
+    "ladder": Kind("livlab.config_checks:LadderExperiment", "livlab.study.checks:prepare_ladder"),
     "optics": Kind("livlab.config_figures:OpticsExperiment", "livlab.study.optics_figures:prepare"),
     "spectral": Kind("livlab.config_spectral:SpectralExperiment", "livlab.study.spectral:prepare"),
     "picture": Kind("livlab.config_picture:PictureExperiment", "livlab.study.picture:prepare"),
+    "stress": Kind("livlab.config_checks:StressExperiment", "livlab.study.checks:prepare_stress"),
     "study": Kind("livlab.config_study:StudyExperiment", "livlab.study.study_job:prepare", jobs=True),
 }
 """Every kind of experiment that a file can ask for with `kind = "…"`."""

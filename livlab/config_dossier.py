@@ -58,7 +58,7 @@ class Shown(Section):
     """A figure or pictures of a run."""
 
     experiment: Name = Field(description="The experiment that has them.")
-    figures: tuple[Figure, ...] = Field((), strict=False, description="Of its figures/, without .svg.")
+    figures: dict[Figure, Line] = Field(default_factory=dict, description="Of its figures/, without .svg: captions.")
     pictures: bool = Field(False, description="Its pictures.")
 
 
@@ -92,7 +92,7 @@ class Entry(Section):
 
     name: Name = Field(description="Name of the file in the experiments' folder, without .toml.")
     text: Text = Field("", description="What to look at.")
-    figures: tuple[Figure, ...] = Field((), strict=False, description="Figures shown on the group's page.")
+    figures: dict[Figure, Line] = Field(default_factory=dict, description="Shown on the group's page: captions.")
 
 
 class Group(Section):
@@ -134,7 +134,7 @@ class Dossier(Section):
             twice = next((n for n in names if names.count(n) > 1), None)
             if twice is not None:
                 raise InputError.of(what, twice, "appears twice", "Keep one.")
-        reserved = {"index", "thesis", "pictures", "rest", "experiments"} & {g.id for g in self.group}
+        reserved = {"index", "thesis", "rest"} & {g.id for g in self.group}
         if reserved:
             raise InputError.of("group.id", min(reserved), "is the name of another page", "Choose another.")
         for answer in self.answer:

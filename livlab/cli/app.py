@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from livlab import __version__
-from livlab.cli import bench, brdf, cost, data, doctor, fractions, gallery, mesh, plan, rerun, run, stress
+from livlab.cli import bench, brdf, cost, data, doctor, fractions, gallery, mesh, plan, rerun, run, stress, validate
 from livlab.errors import LivlabError
 
 _REFUSED_BY_SYSTEM = {
@@ -41,6 +41,7 @@ stress.register(app)
 mesh.register(app)
 gallery.register(app)
 bench.register(app)
+validate.register(app)
 
 
 def _show_version(wanted: bool) -> None:

@@ -38,10 +38,12 @@ ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
 BODIES = {
     "fit": "livlab.reports.fit:fit_sections",
+    "ladder": "livlab.reports.page:tissue_sections",
     "optics": "livlab.reports.optics:sections",
     "brdf": "livlab.reports.brdf:brdf_sections",
     "spectral": "livlab.reports.page:spectral_sections",
     "picture": "livlab.reports.picture:picture_sections",
+    "stress": "livlab.reports.page:tissue_sections",
     "study": "livlab.reports.study:study_sections",
 }
 """What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> list[Section]`,
@@ -174,6 +176,11 @@ def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[Section]
         readings_section(run),
         simulated(run.table("plan")),
     ]
+
+
+def tissue_sections(run: RunData, _: figures.Pictures) -> list[Section]:
+    """What an experiment shows that checks livlab itself; its tables have sections of their own."""
+    return [tissue_section(run)]
 
 
 def _curves(run: RunData, pictures: figures.Pictures) -> Section:

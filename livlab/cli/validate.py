@@ -1,0 +1,163 @@
+"""`livlab validate`: run or reuse every experiment, and build the dossier."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from livlab.errors import ConfigError, Interrupted
+
+if TYPE_CHECKING:
+    from livlab.study.validate import Ended, Planned
+    from livlab.study.validate_baseline import Baseline, Change
+
+RECORD = "validation.json"
+
+
+def register(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("validate")(validate)
+
+
+def validate(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the site.")] = Path("dossier"),
+    runs: Annotated[Path, typer.Option("--runs", help="Folder that holds the run folders.")] = Path("runs"),
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", help="Run only these experiments; others are shown if done.", metavar="NAME..."),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Exit with 1, and name them, if claims that held no longer hold.")
+    ] = False,
+    update_baseline: Annotated[
+        bool, typer.Option("--update-baseline", help="Record which claims hold now, and what each experiment takes.")
+    ] = False,
+    scheduler: Annotated[
+        str, typer.Option("--scheduler", help="Where the jobs of studies run: local, processes:N or tcp://HOST:PORT.")
+    ] = "local",
+    dossier: Annotated[
+        Path | None, typer.Option("--dossier", help="What the site covers (TOML); livlab's own if not said.")
+    ] = None,
+    baseline: Annotated[
+        Path | None, typer.Option("--baseline", help="The baseline; baseline.json beside the dossier's file.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the site's path, and what fails.")] = False,
+) -> None:
+    """Run or reuse every experiment and build the dossier: every claim, and the thesis's figures beside ours."""
+    from livlab.cli.apart import runner
+    from livlab.config_dossier import builtin_dossier, load_dossier
+    from livlab.study.validate import planned, record
+    from livlab.study.validate import validate as work
+    from livlab.study.validate_baseline import compare, load_baseline, told, updated, write_baseline
+
+    file = dossier or builtin_dossier()
+    config = load_dossier(file)
+    held_file = baseline or file.with_name("baseline.json")
+    held = load_baseline(held_file)
+    chosen = tuple(only or ())
+    if check and not held.file:
+        raise ConfigError(f"{held_file}: there is no baseline to check against.", remedy="Make it: --update-baseline.")
+    if scheduler != "local":
+        from livlab.study.scheduler import open_scheduler
+
+        open_scheduler(scheduler)  # a slip is told before anything runs
+    experiments = planned(config, file, chosen)
+    console = Console(stderr=True, soft_wrap=True)
+
+    def say(text: str) -> None:
+        if not quiet:
+            console.print(text, highlight=False, markup=False)
+
+    again = f"livlab validate --out {out} --runs {runs}"
+    try:
+        ended = work(
+            experiments,
+            runner(runs, scheduler=scheduler, quiet=quiet),
+            runs,
+            only=chosen,
+            expected=dict(held.seconds),
+            say=say,
+        )
+    except (KeyboardInterrupt, Interrupted):
+        raise Interrupted("Stopped; what is done is kept.", remedy=f"To go on: {again}") from None
+    if update_baseline:
+        taken = {n: e.seconds for n, e in ended.items() if e.state == "complete" and not e.cached}
+        write_baseline(held_file, updated(held, ended, config.unrecorded, chosen, taken))
+        held = load_baseline(held_file)
+    lost, gained = compare(held, ended, config.unrecorded, chosen)
+    page = _site(record(config, experiments, ended, told(held, lost, gained), out), out)
+    _show(experiments, ended, quiet=quiet)
+    _changes(held, lost, gained, quiet=quiet)
+    typer.echo(page)
+    if check and lost:
+        raise typer.Exit(1)
+
+
+def _site(data: dict[str, object], out: Path) -> Path:
+    from livlab.files import write_whole
+    from livlab.reports.dossier import build_dossier
+    from livlab.runs_files import open_folder
+
+    open_folder(out)
+    write_whole(out / RECORD, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
+    return build_dossier(out)
+
+
+def _show(experiments: list[Planned], ended: dict[str, Ended], *, quiet: bool) -> None:
+    """A line an experiment, then what is missing: it is never silent."""
+    from livlab.study.validate_baseline import verdicts
+
+    found = verdicts(ended)
+    console = Console(width=None if Console().is_terminal else 160)
+    if not quiet:
+        table = Table(header_style="bold", box=None, pad_edge=False)
+        for name in ("experiment", "", "PASS", "FAIL", "MISSING", "seconds"):
+            table.add_column(name, justify="left" if name in ("experiment", "") else "right")
+        for one in experiments:
+            e = ended[one.name]
+            counts = Counter(verdict for verdict, _ in found[one.name].values())
+            state = "done before" if e.cached else e.state
+            table.add_row(
+                one.name,
+                state,
+                *(str(counts[v] or "") for v in ("PASS", "FAIL")),
+                str(counts["MISSING"] or "") if e.state == "complete" else "all",
+                "" if e.cached else f"{e.seconds:.0f}",
+            )
+        console.print(table)
+        total = Counter(verdict for claims in found.values() for verdict, _ in claims.values())
+        seconds = sum(e.seconds for e in ended.values())
+        console.print(
+            f"{total['PASS']} PASS, {total['FAIL']} FAIL, {total['MISSING']} MISSING; {seconds:.0f} s.", highlight=False
+        )
+    for one in experiments:
+        e = ended[one.name]
+        if e.state != "complete":
+            console.print(f"MISSING {one.name}: {e.reason}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _changes(held: Baseline, lost: list[Change], gained: list[Change], *, quiet: bool) -> None:
+    console = Console(soft_wrap=True)
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, markup=False)
+
+    for c in lost:
+        say(f"HELD BEFORE, NOW {c.verdict}: {c.experiment}: {c.claim}" + (f" ({c.why})" if c.why else ""))
+    if quiet:
+        return
+    if not held.file:
+        say("There is no baseline yet; --update-baseline records which claims hold.")
+        return
+    if not lost:
+        say("Every claim of the baseline that was looked at holds.")
+    for c in gained:
+        say(f"HOLDS NOW, NOT IN THE BASELINE: {c.experiment}: {c.claim}")
+    if gained:
+        say("To record what holds now: livlab validate --update-baseline")
