@@ -7,6 +7,7 @@ equation, and the page of commands cannot lag behind the commands.
 from __future__ import annotations
 
 import html
+import re
 from functools import lru_cache
 from typing import Any
 
@@ -21,13 +22,20 @@ def on_config(config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put the commands' help where a page asks for it."""
-    return markdown.replace(COMMANDS, commands()) if COMMANDS in markdown else markdown
+    """Put the commands' help where a page asks for it, and draw the symbols between dollars, as GitHub does."""
+    if COMMANDS in markdown:
+        return markdown.replace(COMMANDS, commands())
+    if "```math" not in markdown:
+        return markdown
+    parts = re.split(r"(^```.*?^```|`[^`\n]+`)", markdown, flags=re.DOTALL | re.MULTILINE)
+    parts[::2] = [re.sub(r"\$([^$\n]+)\$", lambda found: drawn(found[1]), part) for part in parts[::2]]
+    return "".join(parts)
 
 
 def equation(source: str, *_: Any, **__: Any) -> str:
     """TeX lines as one SVG each, in the colour of the text around, named by their source for who cannot see them."""
-    return '<div class="equation">' + "<br>".join(map(drawn, filter(str.strip, source.splitlines()))) + "</div>"
+    lines = [f"<p>{drawn(line)}</p>" for line in source.splitlines() if line.strip()]
+    return f'<div class="equation" tabindex="0">{"".join(lines)}</div>'
 
 
 @lru_cache
@@ -46,7 +54,8 @@ def drawn(tex: str) -> str:
     ]
     width, height = box.width + 2, box.height + 2
     return (
-        f'<svg role="img" aria-label="{html.escape(tex.strip())}" width="{width:.0f}" height="{height:.0f}"'
+        f'<svg class="tex" role="img" aria-label="{html.escape(tex.strip())}" width="{width:.0f}" height="{height:.0f}"'
+        f' style="vertical-align:{box.y0 - 1:.1f}px"'
         f' viewBox="{box.x0 - 1:.1f} {-box.y1 - 1:.1f} {width:.1f} {height:.1f}">'
         f'<path transform="scale(1 -1)" d="{"".join(steps)}"/></svg>'
     )

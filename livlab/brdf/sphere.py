@@ -83,6 +83,9 @@ def extract(
         Linear values, NaN where not usable. Read light by light: it may lie on disk.
     camera, lights, sphere
         The rig. One light for each image; intensities for each channel, or one for all.
+
+    Other Parameters
+    ----------------
     exposure : scalar or (light,)
         What the values are to be divided by, image by image; 1.
     white : scalar, (channel,) or (light, channel)

@@ -82,15 +82,13 @@ def pick(
     Two fluxes and diffusion answer where they hold and the wish is no finer than what they are off. Adding–doubling
     answers where it holds at every wavelength, unless a piloted walk would be done before it. Else the walk of
     expected values does, or the ledger where that would be done sooner: one walk for all of many wavelengths. The
-    literal walk gives the same with more samples and is never chosen.
+    literal walk gives the same with more samples and is never chosen. What is not listed is as in `ladder.solve`.
 
     Parameters
     ----------
     account
         Whether the light's whole account is wanted beside the reading, which two fluxes, diffusion and the ledger do
         not give (it cannot tell in which layer light was absorbed).
-
-    Other parameters as in `ladder.solve`.
     """
     started = clock()
     if not account and accuracy.seconds is None:
