@@ -348,3 +348,14 @@ def _bench() -> dict[str, Any]:
     grid = np.array([500.0, 600.0, 700.0])
     camera = HyperspectralCamera(polarisation="crossed", acceptance_deg=60.0)
     return bench_data(tissue, READINGS["measured"], grid, camera, references=[], standard_error=2e-2)
+
+
+def main() -> None:
+    """Write the seeds of a target: `python -m fuzz.seeds TARGET PLACE`."""
+    name, place = sys.argv[1], Path(sys.argv[2])
+    for k, content in enumerate(seeds(name, place / "seed")):
+        (place / "corpus" / f"seed-{k}").write_bytes(content)
+
+
+if __name__ == "__main__":
+    main()

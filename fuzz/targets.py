@@ -226,7 +226,7 @@ def _mesh(path: Path) -> None:
 def _volume(path: Path) -> None:
     from livlab.model.shapes import read_volume
 
-    read_volume(path, label=1)
+    read_volume(path, label=1, spacing_mm=(1.0,) if path.suffix == ".npy" else None)
 
 
 def _slices(folder: Path) -> None:

@@ -27,10 +27,17 @@ def load_netcdf(path: Path, *, group: str | None = None) -> xr.Dataset | None:
     NetcdfTrouble
         No such file, no NetCDF, damaged, or a claim of more numbers than a file of its size can hold.
     """
+    import h5netcdf
+    import h5py
     import xarray as xr
+
+    # A file that h5netcdf gives up on is closed by the garbage collector, which would print that this is not there.
+    h5netcdf.File._writable = False
 
     try:
         size = readable(path, "file", 1 << 50).stat().st_size
+        with h5py.File(path):
+            pass
         with xr.open_dataset(path, engine="h5netcdf", group=group) as opened:
             if opened.nbytes > DENSEST * size + SPARE_BYTES:
                 raise NetcdfTrouble(f"it claims {opened.nbytes / 2**20:.0f} MiB of numbers in {size / 2**20:.2g} MiB")

@@ -68,7 +68,7 @@ def read_netcdf(path: Path) -> xr.Dataset:
             "Read it with a newer livlab.",
         )
     for name, text in _SPOKEN.items():
-        if not np.array_equal(data.attrs.get(name), text):
+        if not np.array_equal(data.attrs.get(name, ""), text):
             raise DatasetError.of(
                 f"{path.name}, attribute {name}",
                 data.attrs.get(name),

@@ -276,6 +276,7 @@ def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) ->
 
 
 def _show_budget(console: Console, parts: ErrorBudget) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
     from livlab.acquire.error_budget import SOURCES
@@ -283,7 +284,7 @@ def _show_budget(console: Console, parts: ErrorBudget) -> None:
     table = Table(header_style="bold", box=None, pad_edge=False, title="Error budget: share of the variance, and sd")
     table.add_column("source")
     for name in parts.totals.index:
-        table.add_column(str(name), justify="right")
+        table.add_column(escape(str(name)), justify="right")
     table.add_column("how")
     for source in SOURCES:
         rows = parts.table[parts.table["source"] == source].set_index("quantity")
@@ -326,16 +327,17 @@ def _extracted(rig: PhotographedRig, found: Extracted, parts: ErrorBudget | None
 
 
 def _show_table(table: pd.DataFrame, title: str, *, as_json: bool) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
     if as_json:
         typer.echo(table.to_json(orient="records", indent=2))
         return
-    shown = Table(header_style="bold", box=None, pad_edge=False, title=title)
+    shown = Table(header_style="bold", box=None, pad_edge=False, title=escape(title))
     for k, name in enumerate(table.columns):
-        shown.add_column(str(name), justify="left" if k == 0 else "right")
+        shown.add_column(escape(str(name)), justify="left" if k == 0 else "right")
     for row in table.itertuples(index=False):
-        shown.add_row(*(f"{x:.5g}" if isinstance(x, float) else str(x) for x in row))
+        shown.add_row(*(f"{x:.5g}" if isinstance(x, float) else escape(str(x)) for x in row))
     _console().print(shown)
 
 

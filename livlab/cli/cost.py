@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from livlab.errors import ConfigError
@@ -105,7 +106,7 @@ def _frame(reading: str, rows: list[CostRow]) -> pd.DataFrame:
 def _table(reading: str, rows: list[CostRow]) -> Table:
     first = rows[0]
     about = f"{reading}: errors against {first.reference} (itself off by {first.reference_error:.1g})"
-    table = Table(title=about, title_justify="left", header_style="bold")
+    table = Table(title=escape(about), title_justify="left", header_style="bold")
     for name in ("solver", "samples", "seconds", "error", "it states", ""):
         table.add_column(name, justify="left" if name in ("solver", "") else "right")
     for r in rows:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from livlab.errors import ConfigError
@@ -96,7 +97,7 @@ def _json(made: Plan) -> dict[str, object]:
 def _table(name: str, made: Plan) -> Table:
     timed = made.measured_saving is not None
     title = f"{name}: tolerance {made.tolerance:.3g}"
-    table = Table(title=title, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=escape(title), title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("effect", no_wrap=True)
     for column in ("changes ≤", "saves", *(("measured",) if timed else ())):
         table.add_column(column, justify="right", no_wrap=True)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
@@ -20,7 +21,7 @@ class BarProgress:
 
     def __init__(self, bars: Bars, title: str) -> None:
         self._bars = bars
-        self._title = title.replace("[", r"\[")
+        self._title = escape(title)
         self._tasks: dict[str, TaskID] = {}
         self._shares: dict[str, float] = {}
         self._overall: TaskID | None = None
@@ -29,7 +30,7 @@ class BarProgress:
         """Draw the bars, empty."""
         self._overall = self._bars.add_task(f"[bold]{self._title}", total=max(1, len(tasks)), text="")
         for task in tasks:
-            self._tasks[task] = self._bars.add_task("  " + task.replace("[", r"\["), total=1.0, start=False, text="")
+            self._tasks[task] = self._bars.add_task("  " + escape(task), total=1.0, start=False, text="")
             self._shares[task] = 0.0
 
     def advance(self, task: str, share: float, text: str = "") -> None:
@@ -85,7 +86,7 @@ def bars(console: Console) -> Bars:
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
-        TextColumn("[dim]{task.fields[text]}"),
+        TextColumn("{task.fields[text]}", style="dim", markup=False),
         console=console,
     )
 

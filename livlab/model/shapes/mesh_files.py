@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -173,7 +174,7 @@ def _ply_faces(stream: BinaryIO, head: bytes, name: str) -> int:
         end = head.find(b"end_header")
     words = [line.split() for line in head[: max(end, 0)].decode("latin-1").splitlines()]
     counts = {word[1]: word[2] for word in words if len(word) == 3 and word[0] == "element"}
-    if end < 0 or not counts.get("vertex", "").isdigit() or not counts.get("face", "").isdigit():
+    if end < 0 or not all(re.fullmatch("[0-9]{1,12}", counts.get(name, "")) for name in ("vertex", "face")):
         raise InputError.of("mesh file", name, "has no PLY header with vertices and faces", _EXPORT_AGAIN)
     if int(counts["vertex"]) > 3 * max(int(counts["face"]), MAX_FACES):
         raise InputError.of("vertices", int(counts["vertex"]), "are more than the faces can use", _EXPORT_AGAIN)

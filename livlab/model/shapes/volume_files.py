@@ -246,6 +246,8 @@ def _nrrd_content(file: Path, header: Any, stream: BinaryIO) -> bytes:
     if encoding in ("gzip", "gz", "bzip2", "bz2"):
         unpack: Any = zlib.decompressobj(zlib.MAX_WBITS | 16) if encoding.startswith("g") else bz2.BZ2Decompressor()
         content = unpack.decompress(content, needed + max(skip, 0) + 1)
+        if len(content) > needed + max(skip, 0):
+            raise ValueError(f"unpacks to more than the {needed} bytes that its header says")
         header["encoding"] = "raw"
     if skip < -1:
         raise ValueError(f"byte skip {skip}")

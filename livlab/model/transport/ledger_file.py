@@ -159,9 +159,9 @@ def load(path: Path | str) -> Ledger:
     except NetcdfTrouble as error:
         raise DatasetError.of("ledger", path.name, f"cannot be read ({error})", _REMEDY) from error
     assert found is not None
-    if not np.array_equal(found.attrs.get("format"), FORMAT):
+    if not np.array_equal(found.attrs.get("format", ""), FORMAT):
         raise DatasetError.of("ledger", path.name, f"is no {FORMAT}", "Name a file that Ledger.save wrote.")
-    if not np.array_equal(found.attrs.get("version"), VERSION):
+    if not np.array_equal(found.attrs.get("version", ""), VERSION):
         version = found.attrs.get("version")
         raise DatasetError.of("ledger", path.name, f"has version {version}, this livlab reads {VERSION}", _REMEDY)
     try:
