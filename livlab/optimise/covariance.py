@@ -161,7 +161,7 @@ def covariance_of_residuals(
             if p.tied == name and p.name in jacobian:
                 total = total + p.factor * np.asarray(jacobian[p.name])
         columns.append(total * slopes[k])
-    matrix = np.array(columns).reshape(len(keep), -1)
+    matrix = np.array(columns).reshape(len(keep), -1) if keep else np.zeros((0, 0))  # every one is at a bound
     normal = matrix @ matrix.T
     for row, k in enumerate(keep):
         sd = space.free[k].prior_sd

@@ -218,3 +218,24 @@ def test_what_a_fit_cannot_do_is_refused_before_it_walks() -> None:
         livlab.fit(curve, {path: (0.001, 0.01)}, tissue="skin", loss="chi2")
     with pytest.raises(InputError, match="holds no curve"):
         livlab.fit({}, {path: (0.001, 0.01)}, tissue="skin")
+
+
+def test_a_fit_whose_every_value_ends_at_its_bound_is_told_and_no_crash(libllvm: object) -> None:
+    """More melanin than the box allows: nothing is left to have a covariance."""
+    path = "layers.epidermis.elements.melanosomes.fraction"
+    base = {"layers.epidermis.elements.baseline.fraction": 0.7}
+    seen = livlab.spectrum(
+        "skin", "measured", [500, 560, 620, 680], changes=base | {path: 0.3}, solver="adding-doubling"
+    )
+    found = livlab.fit(
+        seen,
+        {path: {"low": 0.01, "high": 0.1, "label": "melanosomes"}},
+        tissue="skin",
+        changes=base,
+        scaling="none",
+        search={"standard_error": 0.01},
+    )
+    assert found.values == {"melanosomes": 0.1}
+    assert "bound" in found.table.loc["melanosomes", "status"]
+    assert found.correlation.empty
+    assert "bound" in found._repr_html_()
