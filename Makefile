@@ -1,6 +1,6 @@
 # The README's commands, and CI's, are these. Each sets up .venv by itself where that is still to do.
 .DEFAULT_GOAL := help
-.PHONY: help setup report test test-all check docs bench clean
+.PHONY: fuzz help setup report test test-all check docs bench clean
 
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
@@ -40,6 +40,11 @@ docs: setup ## the documentation as a site: build/site/index.html
 
 bench: setup ## time the cases that the tests check
 	$(BIN)/python -m benchmarks
+
+INPUTS ?= 20000
+
+fuzz: setup ## search every reader of a user's file for crashes, hangs and bombs (INPUTS=20000)
+	$(BIN)/python -m fuzz --inputs $(INPUTS)
 
 clean: ## remove caches and build products; runs/ and .venv stay
 	rm -rf build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

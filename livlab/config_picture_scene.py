@@ -34,9 +34,7 @@ def _hash_of(path: str) -> str:
         with readable(Path(path), "path", 1 << 40, remedy, ConfigError).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        raise ConfigError(
-            f"{path} cannot be read: {error.strerror or error}.", remedy=remedy
-        ) from None
+        raise ConfigError(f"{path} cannot be read: {error.strerror or error}.", remedy=remedy) from None
 
 
 class FileSpec(Section):
