@@ -28,6 +28,7 @@ def gallery(
         int | None,
         typer.Option("--small", help="No page: only the pictures, made so many pixels wide.", metavar="WIDTH"),
     ] = None,
+    table: Annotated[bool, typer.Option("--table", help="No page: print the pictures' numbers as a table.")] = False,
 ) -> None:
     """Put the pictures of several runs on one page that needs no network."""
     from livlab.reports.gallery import build_gallery
@@ -37,6 +38,11 @@ def gallery(
         raise ConfigError(
             f"{base} holds no finished picture.", remedy="Make some: livlab run experiments/liver-*.toml, or name runs."
         )
+    if table:
+        from livlab.reports.gallery_table import picture_table
+
+        typer.echo(picture_table(folders))
+        return
     if small is None:
         typer.echo(build_gallery(folders, out))
         return

@@ -8,12 +8,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from livlab import runs
 from livlab.cli.gallery import finished
 from livlab.errors import ConfigError, InputError
 from livlab.reports.gallery import build_gallery
+from livlab.reports.gallery_small import small_copies
+from livlab.reports.gallery_table import picture_table
+from livlab.reports.picture import png_size
 from livlab.reports.picture_words import colour_words
 from livlab.study import picture
 
@@ -130,3 +134,21 @@ def test_an_unfinished_run_says_so(folder: Path, tmp_path: Path, monkeypatch: py
     assert "No picture is finished yet" in text
     with pytest.raises(InputError, match="no finished picture"):
         build_gallery([partial], tmp_path / "gallery")
+
+
+def test_the_table_has_the_numbers_of_every_picture(folder: Path) -> None:
+    head, _, *rows = picture_table([folder]).splitlines()
+    assert [x.strip() for x in head.strip("|").split("|")][:3] == ["run", "tissue", "reading"]
+    cells = [[x.strip() for x in row.strip("|").split("|")] for row in rows]
+    assert [c[2] for c in cells] == ["thesis", "measured"]
+    colours = pd.read_csv(folder / "colours.csv").set_index("reading")
+    for c in cells:
+        assert c[4:6] == ["12", "6"]
+        assert float(c[9]) == pytest.approx(colours.loc[c[2], "L"], abs=0.05)
+        assert float(c[11]) == pytest.approx(colours.loc[c[2], "b"], abs=0.05)
+
+
+def test_small_copies_are_of_each_picture_and_small(folder: Path, tmp_path: Path) -> None:
+    made = small_copies([folder], tmp_path, 16)
+    assert [p.name for p in made] == ["small-thesis.png", "small-measured.png"]
+    assert all(png_size(p) == (16, 11) for p in made)
