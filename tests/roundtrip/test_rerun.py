@@ -269,3 +269,32 @@ def test_times_alone_do_not_count(tmp_path: Path) -> None:
     assert compare_file("claims.csv", old, new).verdict == "differs"
     assert timeless("a.json", b'{"seconds": 1, "a": [{"seconds": 2, "b": 3}]}') == b'{"a": [{"b": 3}]}'
     assert timeless("a.png", b"seconds") == b"seconds"
+
+
+def test_seconds_in_a_grids_attributes_do_not_count(tmp_path: Path) -> None:
+    import numpy as np
+    import xarray as xr
+
+    def written(name: str, seconds: float, value: float, unit: str = "1") -> Path:
+        data = xr.Dataset(
+            {
+                "image": (("row", "channel"), np.array([[1.0, value], [3.0, 4.0]])),
+                "image_se": (("row", "channel"), np.full((2, 2), 0.5)),
+            },
+            {"channel": ["R", "G"]},
+            {"seconds": seconds, "units": unit},
+        )
+        xr.DataTree.from_dict({"/": data, "/body": data}).to_netcdf(tmp_path / name, engine="h5netcdf")
+        return tmp_path / name
+
+    first = written("a.nc", 1.0, 2.0)
+    assert compare_file("image.nc", first, written("b.nc", 2.0, 2.0)).verdict == "same but for times"
+    other = compare_file("image.nc", first, written("c.nc", 2.0, 2.5))
+    assert other.verdict == "differs"
+    assert "image: up to 0.5 at 2.5, 1 standard errors" in other.detail
+    assert "seconds" not in other.detail
+    assert "attributes units" in compare_file("image.nc", first, written("d.nc", 1.0, 2.0, "m")).detail
+    broken = tmp_path / "e.nc"
+    broken.write_bytes(first.read_bytes()[:500])
+    assert compare_file("image.nc", first, broken).verdict == "differs"
+    assert timeless("e.nc", broken.read_bytes()) == broken.read_bytes()
