@@ -126,20 +126,26 @@ def convergence(table: pd.DataFrame, own: str = "") -> Figure:
 
 
 def ways(table: pd.DataFrame) -> Figure:
-    """Image error against time of each way of following light."""
+    """Image error against time of each way of following light: the root mean square, and what most pixels have."""
+    shown = {
+        "error": "root mean square",
+        **({"typical_error": "what most pixels have"} if "typical_error" in table else {}),
+    }
     with style():
         figure = Figure(figsize=(7.4, 4.2))
-        ax = figure.subplots()
-        for k, (way, rows) in enumerate(table.sort_values("seconds").groupby("way", sort=False)):
-            ax.plot(
-                rows["seconds"], 100 * rows["error"], color=colour(k), marker=MARKERS[k % len(MARKERS)],
-                ls=DASHES[k % len(DASHES)], label=str(way),
-            )  # fmt: skip
-        ax.set_xscale("log")
-        ax.set_yscale("log")
-        plain_log(ax.xaxis)
-        plain_log(ax.yaxis)
-        ax.set_xlabel("time of one picture, all wavelengths, compiling apart [s]")
-        ax.set_ylabel("image error [% of the mean radiance]")
-        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
+        axes = np.atleast_1d(figure.subplots(1, len(shown), sharey=True))
+        for ax, (column, title) in zip(axes, shown.items(), strict=True):
+            for k, (way, rows) in enumerate(table.groupby("way", sort=False)):
+                ax.plot(
+                    rows["seconds"], 100 * rows[column], color=colour(k), marker=MARKERS[k % len(MARKERS)],
+                    ls=DASHES[k % len(DASHES)], label=str(way),
+                )  # fmt: skip
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+            plain_log(ax.xaxis)
+            plain_log(ax.yaxis)
+            ax.set_title(title, fontsize=9.5, color=INK)
+            ax.set_xlabel("time of one picture [s]")
+        axes[0].set_ylabel("image error [% of the mean radiance]")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
         return figure

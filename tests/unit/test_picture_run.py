@@ -19,7 +19,7 @@ from livlab.errors import Interrupted
 from livlab.model.colour import thesis_rgb
 from livlab.model.tissue.stack import OpticalStack
 from livlab.study import picture
-from livlab.study.picture_cost import image_error
+from livlab.study.picture_cost import image_error, typical_error
 
 WIDE = """
 baselines = ["lambert", "dipole"]
@@ -97,12 +97,21 @@ def test_the_cost_study_measures_errors_that_fall_with_samples(tmp_path: Path, m
     assert together.loc[4, "error"] / together.loc[16, "error"] == pytest.approx(2.0, rel=0.25)
     assert np.allclose(ways["error"], ways["stated_error"], rtol=0.25)
     assert set(ways["way"]) == {"together", "one by one"}
+    typical = together["typical_error"]
+    assert typical[4] / typical[16] == pytest.approx(2.0, rel=0.35)
+    other = ways[ways["way"] == "one by one"]
+    assert (other["mean_difference_se"] > 0).all()
+    assert (other["mean_difference"].abs() < 4 * other["mean_difference_se"]).all()
 
 
 def test_image_error_is_that_of_one_picture() -> None:
     rng = np.random.default_rng(4)
     a, b = (10.0 + rng.normal(0, 0.3, 200_000) for _ in range(2))
     assert image_error(a, b) == pytest.approx(0.03, rel=0.01)
+    assert typical_error(a, b) == pytest.approx(0.03, rel=0.02)
+    a[0] += 1e5  # one very bright pixel
+    assert image_error(a, b) > 1.0
+    assert typical_error(a, b) == pytest.approx(0.03, rel=0.1)
 
 
 class Stopping(BallCamera):
