@@ -94,7 +94,8 @@ class Flights:
         region = s.medium - 1
         slope = dr.dot(s.d, place.inward)
         down = slope > 0.0
-        inverse = dr.rcp(dr.mulsign(dr.maximum(dr.abs(slope), 1e-12), slope))
+        # Of a flight that is level to the last bit, too, the sign must be that of `down`.
+        inverse = dr.select(down, 1.0, -1.0) * dr.rcp(dr.maximum(dr.abs(slope), 1e-12))
         bound = dr.select(
             down,
             medium.pick(region, medium.region_bottom),

@@ -64,7 +64,13 @@ class Plan:
 
 
 class Kernel:
-    """Traces one step for a given scene; numbers are data, what the scene lacks leaves no code."""
+    """Traces one step for a given scene; numbers are data, what the scene lacks leaves no code.
+
+    Attributes
+    ----------
+    fence
+        Tells of a place inside whether a path ends there; None: nowhere.
+    """
 
     def __init__(
         self,
@@ -87,6 +93,7 @@ class Kernel:
         self.interfaces = len(shapes)
         self.camera = camera
         self.within = within
+        self.fence: Callable[[Any], Any] | None = None
         self.max_steps = d.dr.opaque(mi.UInt32, max_steps)
         self.least = d.dr.opaque(mi.Float, 0.01 * CREEP * size)
         self.width = len(lights.wavelengths)
@@ -279,6 +286,9 @@ class Kernel:
         if self.field:
             s.place.trust = dr.select(begins, 0.0, s.place.trust)
             s.place.clear = dr.select(begins, 0.0, s.place.clear)
+        if self.fence is not None:
+            s.pending = dr.select((enters | exits | lost | goes) & self.fence(s.p), END, s.pending)
+            exits, lost = exits & (s.pending != END), lost & (s.pending != END)
         crossed = enters | exits | lost
         s.pending = dr.select(crossed, dr.select(s.medium == 0, mi.UInt32(OUT), WALK), s.pending)
         s.fresh &= ~(crossed | begins)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from livlab.model.tracer.crossing import cross_layers
 from livlab.model.tracer.meeting import meet
-from livlab.model.tracer.state import BARRIER, CAST, LOST, MET, QUIET, WALK, State
+from livlab.model.tracer.state import BARRIER, CAST, END, LOST, MET, QUIET, WALK, State
 from livlab.model.transport import rng as random
 
 if TYPE_CHECKING:
@@ -56,6 +56,8 @@ def _round(kernel: Kernel, s: State) -> State:
         s.meeting.within = dr.select(arrives, flight.within, s.meeting.within)
     s.pending = dr.select(arrives, mi.UInt32(MET), s.pending)
     s.pending = dr.select(lost, LOST, s.pending)
+    if kernel.fence is not None:
+        s.pending = dr.select(walks & kernel.fence(s.p), END, s.pending)
     s = meet(kernel, s)
     s.steps = s.steps + 1
     return s
