@@ -244,8 +244,8 @@ def _ways(run: RunData, pictures: Pictures) -> Section:
                 "ways",
                 drawn.ways(table),
                 "Image error against time on a small copy of the picture, all wavelengths, compiling apart: two "
-                "pictures with other seeds, their difference over √2, over the mean radiance. Left: root mean square over "
-                "the lit body and the wavelengths, which a few very bright pixels can rule; right: 1.48 of the "
+                "pictures with other seeds, their difference over √2, over the mean radiance. Left: root mean square "
+                "over the lit body and the wavelengths, which a few very bright pixels can rule; right: 1.48 of the "
                 "median, which is the same where errors are normal.",
             )
         )

@@ -148,24 +148,30 @@ def findings(run: RunData) -> list[str]:
         return said
     failed = claims[claims["verdict"] == "FAIL"]
     readings = [str(r["name"]) for r in run.config.get("reading", [])]
+    grouped: dict[str, list[tuple[str, str]]] = {}
     for c in failed.to_dict("records"):
         name = str(c["criterion"])
         low, high = float(c["reference"]) - float(c["tolerance"]), float(c["reference"]) + float(c["tolerance"])
-        text = f"Fails: {name} is {number(float(c['value']), 3)}, outside {number(low, 3)} to {number(high, 3)}."
+        text = f"{name} is {number(float(c['value']), 3)}, outside {number(low, 3)} to {number(high, 3)}"
         reading = next((r for r in sorted(readings, key=len, reverse=True) if r in name), "")
-        said.append(text + (_why(run, optics, reading, name) if reading and len(optics) else ""))
+        grouped.setdefault(reading, []).append((name, text))
+    for reading, texts in grouped.items():
+        said.append("Fails: " + "; ".join(text for _, text in texts) + ".")
+        if reading and len(optics):
+            said[-1] += _why(run, optics, reading, [name for name, _ in texts])
     return said
 
 
-def _why(run: RunData, optics: pd.DataFrame, reading: str, claim: str) -> str:
+def _why(run: RunData, optics: pd.DataFrame, reading: str, claims: list[str]) -> str:
     """What the colour of a reading comes from, at the channels' middles, from red to blue."""
-    if claim.startswith(("seconds", "speed", "memory", "relative error")):
+    about = [c for c in claims if not c.startswith(("seconds", "speed", "memory", "relative error"))]
+    if not about:
         return ""
     mine = optics[optics["reading"] == reading].assign(tissue=tissues(optics))
     mine = mine.sort_values("wavelength_nm", ascending=False)
     told = []
     for tissue, rows in mine.groupby("tissue", sort=False):
-        if tissue and str(tissue) not in claim:
+        if tissue and not any(str(tissue) in c for c in about):
             continue
         absorbed = " / ".join(number(float(v), 2) for v in rows["absorption_per_mm"])
         scattered = " / ".join(number(float(v), 2) for v in rows["reduced_scattering_per_mm"])
