@@ -9,13 +9,19 @@ from __future__ import annotations
 import html
 import re
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
+SEARCH = 'data-md-component="search" role="dialog"'
 COMMANDS = "<!-- every command, by docs_hooks -->"
 
 
 def on_config(config: Any) -> Any:
-    """Let fenced blocks named `math` be equations, as GitHub does."""
+    """Let fenced blocks named `math` be equations, as GitHub does, and add to the guide what the navigation forgot."""
+    folder = Path(config.docs_dir)
+    known = re.findall(r"[^'\"]+\.md", repr(config.nav))
+    forgotten = sorted({p.relative_to(folder).as_posix() for p in folder.rglob("*.md")} - set(known))
+    next(part["Guide"] for part in config.nav if "Guide" in part).extend(forgotten)
     fences = config.mdx_configs.setdefault("pymdownx.superfences", {}).setdefault("custom_fences", [])
     fences.append({"name": "math", "class": "equation", "format": equation})
     return config
@@ -32,6 +38,11 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     return "".join(parts)
 
 
+def on_post_page(output: str, **_: Any) -> str:
+    """Name the theme's search for those who hear the page."""
+    return output.replace(SEARCH, f'{SEARCH} aria-label="Search"')
+
+
 def equation(source: str, *_: Any, **__: Any) -> str:
     """TeX lines as one SVG each, in the colour of the text around, named by their source for who cannot see them."""
     lines = [f"<p>{drawn(line)}</p>" for line in source.splitlines() if line.strip()]
@@ -42,14 +53,16 @@ def equation(source: str, *_: Any, **__: Any) -> str:
 def drawn(tex: str) -> str:
     """One line of TeX as an SVG whose outlines need no font."""
     from matplotlib.font_manager import FontProperties
-    from matplotlib.path import Path
+    from matplotlib.path import Path as Outline
     from matplotlib.textpath import TextPath
 
     text = TextPath((0, 0), f"${tex.strip()}$", prop=FontProperties(size=15, math_fontfamily="cm"))
     box = text.get_extents()
-    letters = {Path.MOVETO: "M", Path.LINETO: "L", Path.CURVE3: "Q", Path.CURVE4: "C", Path.CLOSEPOLY: "Z"}
+    letters = dict(
+        zip((Outline.MOVETO, Outline.LINETO, Outline.CURVE3, Outline.CURVE4, Outline.CLOSEPOLY), "MLQCZ", strict=True)
+    )
     steps = [
-        letters[code] + ("" if code == Path.CLOSEPOLY else " ".join(f"{v:.2f}" for v in points))
+        letters[code] + ("" if code == Outline.CLOSEPOLY else " ".join(f"{v:.2f}" for v in points))
         for points, code in text.iter_segments(simplify=False, curves=True)
     ]
     width, height = box.width + 2, box.height + 2
@@ -80,7 +93,7 @@ def section(command: Any, name: str, level: int) -> list[str]:
     lines = [f"{'#' * level} `{name}`", "", clean(command.help or ""), "", "```text", f"{name} {usage}", "```", ""]
     records = [r for p in command.get_params(context) if (r := p.get_help_record(context)) and "--help" not in r[0]]
     if records and level > 2:
-        lines += ["| | |", "|---|---|"]
+        lines += ["| argument or option | does |", "|---|---|"]
         lines += [f"| `{what.replace('|', chr(92) + '|')}` | {clean(does)} |" for what, does in records] + [""]
     for child, sub in children.items():
         lines += section(sub, f"{name} {child}", 3 if level == 2 else 4)
