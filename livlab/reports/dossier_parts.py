@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from livlab.files import write_whole
 from livlab.reports.dossier_site import MISSING, Cell, Entry, Grid
-from livlab.reports.figures import inline
+from livlab.reports.figures import drawn_by_livlab, inline
 from livlab.reports.picture import png_size, shown_pictures
 from livlab.reports.picture_words import alt_text, caption
 from livlab.reports.tables import Image, Images, Picture, Text, number
@@ -28,7 +28,10 @@ def shown_figures(entry: Entry, captions: Mapping[str, str], page: str) -> list[
         except OSError:
             content.append(Text(f"{MISSING}: the run {entry.name} has no figure {name}."))
             continue
-        svg = text[text.index("<svg") :]
+        svg = drawn_by_livlab(text)
+        if svg is None:
+            content.append(Text(f"{MISSING}: figure {name} of the run {entry.name} is not as livlab draws figures."))
+            continue
         content.append(Picture(Markup(inline(svg, f"{page}-{entry.name}-{name}", words)), words))
     return content
 

@@ -6,12 +6,14 @@ import re
 from importlib.resources import files
 from io import StringIO
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from livlab.reports.tables import Picture
 
@@ -28,6 +30,18 @@ _THEME = {INK: "var(--ink)", MUTED: "var(--muted)", RULE: "var(--rule)", "#8a919
 }
 
 
+_MATH = re.compile(r"\$\\theta_[a-z]\$|^\$\\mathdefault\{[-−0-9.^{}\\times ]*\}\$$")
+"""The house's own mathematics: angles, and powers of ten on logarithmic axes."""
+
+_STYLED_OUT = re.compile(r"@import|url\((?!#)|<style[^<]*\\|style=(?:\"[^\"]*|'[^']*)\\")
+"""A style that asks for something from elsewhere, or may hide that it does behind an escape."""
+
+_DRAWS = frozenset({
+    "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "line", "polyline", "polygon", "ellipse",
+    "text", "tspan", "image", "linearGradient", "stop", "pattern", "title", "desc",
+})  # fmt: skip
+
+
 def style() -> Any:
     """Context in which every figure is drawn."""
     return mpl.rc_context(fname=str(files("livlab.reports") / "livlab.mplstyle"))
@@ -41,10 +55,42 @@ def colour(k: int) -> str:
 def svg(figure: Figure) -> str:
     """Write a figure as SVG text, the same bytes for the same figure."""
     out = StringIO()
+    _plain_dollars(figure)
     with style():
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
+
+
+def _plain_dollars(figure: Figure) -> None:
+    """Keep a user's dollar signs from being read as mathematics, which fails where they are none."""
+    for text in figure.findobj(Text):
+        if "$" in _MATH.sub("", text.get_text()):
+            text.set_parse_math(False)
+
+
+def drawn_by_livlab(text: str) -> str | None:
+    """The `<svg>` of a figure's file, if it holds nothing but drawing; None if a browser would do anything with it.
+
+    A run folder may come from anywhere, and a page takes its figures in as they are: elements that draw, no events, no
+    reference but to its own parts and to pictures within.
+    """
+    # HTML ends a comment earlier than XML does, and knows no sections; matplotlib says nothing that matters in either.
+    plain = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>", "", text[max(text.find("<svg"), 0) :], flags=re.DOTALL)
+    if "<!" in plain or "<?" in plain or _STYLED_OUT.search(plain):
+        return None
+    try:
+        root = ElementTree.fromstring(plain)
+    except ElementTree.ParseError:
+        return None
+    for part in root.iter():
+        if part.tag.rsplit("}", 1)[-1] not in _DRAWS:
+            return None
+        for name, value in part.attrib.items():
+            bare = name.rsplit("}", 1)[-1].lower()
+            if bare.startswith("on") or (bare == "href" and not value.startswith(("#", "data:image/png;"))):
+                return None
+    return plain
 
 
 def inline(text: str, name: str, label: str) -> str:
@@ -215,7 +261,9 @@ def budget_parts(result: xr.Dataset) -> list[tuple[str, np.ndarray[Any, Any]]]:
         "redirect_loss": "removed by Algorithm 2",
         "residual": "residual",
     }
-    parts = []
+    parts: list[tuple[str, np.ndarray[Any, Any]]] = []
+    if "transmittance" in result and result["transmittance"].isnull().all():
+        return parts  # the solver counted what is read, not the rest
     for key, label in names.items():
         if key == "absorbed_total" and "absorbed" in result:
             values = result["absorbed"].sum("layer").transpose("reading", "wavelength").to_numpy()

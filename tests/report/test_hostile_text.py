@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from fuzz.seeds import seeds
 from livlab.errors import InputError
+from livlab.reports.figures import drawn_by_livlab, svg
 from livlab.reports.gallery import build_gallery
 from livlab.reports.page import build_report
 
@@ -120,6 +122,40 @@ def test_a_pictures_table_shows_no_file_from_elsewhere(made: dict[str, Path], na
     with pytest.raises(InputError, match="no finished picture"):
         build_gallery([folder], tmp_path / "gallery")
     assert "c2VjcmV0" not in build_report(folder).read_text(encoding="utf-8")  # "secret", as a data URL has it
+
+
+def test_dollars_in_a_label_are_no_mathematics() -> None:
+    figure = Figure()
+    ax = figure.subplots()
+    for k, label in enumerate(("costs $5 or $6", r"$\no_such_thing{$", "$", r"$\mathdefault{\x}$")):
+        ax.plot([1, 2], [k, 1], label=label)
+    ax.set_yticks([0, 1], [r"$\bad{$", "b"])
+    ax.set_xscale("log")
+    ax.set_xlabel(r"eye $\theta_o$ [deg]")
+    ax.legend()
+    text = svg(figure)
+    assert "costs $5 or $6" in text
+    assert r"$\no_such_thing{$" in text
+    assert r"\theta_o" not in text.replace("<!-- eye $\\theta_o$ [deg] -->", "")
+
+
+@pytest.mark.parametrize(
+    "evil",
+    [
+        "<script>alert(1)</script>", '<g onload="alert(1)"/>', "<foreignObject/>", '<a href="javascript:alert(1)"/>',
+        '<image href="https://a.b/c.png"/>', "<!DOCTYPE x>", "<set attributeName='x'/>", "<g>",
+        "<!--><script>alert(1)</script>--><![CDATA[<script>alert(1)</script>]]>", "<style>@import 'a'</style>",
+        "<rect style='fill: url(https://a.b)'/>",
+    ],
+)  # fmt: skip
+def test_a_figure_from_elsewhere_goes_into_no_page(evil: str) -> None:
+    start, end = '<svg xmlns="http://www.w3.org/2000/svg">', "</svg>"
+    figure = Figure()
+    figure.subplots().plot([1, 2], [1, 2], label="a")
+    assert drawn_by_livlab('<?xml version="1.0"?>' + svg(figure)) is not None
+    assert drawn_by_livlab(f"{start}<g/>{end}") is not None
+    assert drawn_by_livlab(f"{start}{evil}{end}") is None
+    assert drawn_by_livlab("no figure") is None
 
 
 @pytest.mark.slow
