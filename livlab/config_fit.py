@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -31,6 +32,9 @@ class FitParameter(Section):
     fixed: bool = Field(False, description="Keep it at its start.")
     tied: Label | None = Field(None, description="Label of the parameter that it follows.")
     factor: float = Field(1.0, description="Its value over that of the one it is tied to.")
+    only: tuple[Label, ...] | None = Field(
+        None, strict=False, min_length=1, description="Measurements whose tissue has it; all if not said."
+    )
     prior_mean: float | None = Field(None, description="Mean of what is known beforehand.")
     prior_sd: Positive | None = Field(None, description="Standard deviation of what is known beforehand.")
 
@@ -39,17 +43,22 @@ class FitParameter(Section):
         """Label, or the path's last two words."""
         return self.label or " ".join(self.path.split(".")[-2:]).replace("_", " ")
 
+    @property
+    def key(self) -> str:
+        """The path, and whose it is if not everyone's."""
+        return self.path if self.only is None else f"{self.path} of {', '.join(self.only)}"
+
     @model_validator(mode="after")
     def _fits(self) -> Self:
         self.parameter()
         return self
 
     def parameter(self, tied: str | None = None) -> Any:
-        """As `livlab.optimise.Parameter`; `tied` is the path of the one it follows."""
+        """As `livlab.optimise.Parameter`; `tied` is the key of the one it follows."""
         from livlab.optimise.parameters import Parameter
 
         return Parameter(
-            self.path,
+            self.key,
             self.low,
             self.high,
             self.start,
@@ -83,6 +92,7 @@ class Measurement(Section):
         "rmse", description="Mean square, squares over σ², 1 − Pearson, or CIEDE2000 (D65, 2°) squared."
     )
     weight: Positive = Field(1.0, description="How much it counts beside other measurements.")
+    set: dict[str, Any] = Field({}, description="Values by path in which the tissue measured here differs.")
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -123,11 +133,24 @@ class Search(Section):
         return self
 
 
+class RoundTrip(Section):
+    """Tissues drawn by chance, simulated with noise and fitted, to count how often the intervals hold the truth."""
+
+    tissues: Annotated[int, Field(ge=2, le=10_000)] = Field(50, description="Tissues drawn between the bounds.")
+    relative_sd: Positive | None = Field(
+        None, description="Noise as a share of the curve; that of each measurement's own error if not said."
+    )
+    standard_error: Annotated[float, Field(ge=1e-6, le=0.1)] = Field(
+        2e-3, description="Of the total reflectance in its walks; counted in what the intervals claim."
+    )
+
+
 class FitCriterion(Section):
     """A claim to judge: |value − reference| ≤ tolerance."""
 
-    metric: Literal["pearson", "rmse", "settled"] = Field(
-        description="Of a measurement's normalised curves; settled: 1 where fresh draws gave the same parameters."
+    metric: Literal["pearson", "rmse", "colour difference", "settled", "coverage"] = Field(
+        description="Of a measurement's curves as they are compared; settled: 1 where fresh draws gave the same "
+        "parameters; coverage: share of the round trips' intervals that hold the truth."
     )
     of: Label | None = Field(None, description="Label of the measurement.")
     reference: float = Field(description="Value expected.")
@@ -136,13 +159,24 @@ class FitCriterion(Section):
     @property
     def name(self) -> str:
         """The claim's name."""
-        return f"{self.metric} fit vs {self.of}" if self.of else "fit settled under fresh draws"
+        if self.of:
+            return f"{self.metric} fit vs {self.of}"
+        return "fit settled under fresh draws" if self.metric == "settled" else "coverage of round trips"
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if (self.metric == "settled") != (self.of is None):
+        if (self.metric in ("settled", "coverage")) != (self.of is None):
             raise InputError.of("of", self.of, f"metric {self.metric!r} does not go with it", "Give or drop it.")
         return self
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A tissue that was measured: by which measurements, what is set in it, and which parameter each path follows."""
+
+    labels: tuple[str, ...]
+    set: dict[str, Any]
+    keys: dict[str, str]
 
 
 class FitExperiment(Experiment):
@@ -161,7 +195,7 @@ class FitExperiment(Experiment):
     measurement: tuple[Measurement, ...] = Field(strict=False, min_length=1, description="What it is sought from.")
     search: Search = Field(default_factory=Search, description="How.")
     level: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(0.95, description="Coverage of the intervals.")
-    profiles: bool = Field(False, description="Profile-likelihood intervals beside the normal ones; costs searches.")
+    round_trip: RoundTrip | None = Field(None, description="Whether to test the intervals on simulated tissues.")
     variant: Literal["llvm", "cuda"] = Field("llvm", description="Where it walks.")
     bench: bool = Field(True, description="Whether the report has sliders about the fitted tissue; costs one walk.")
     criterion: tuple[FitCriterion, ...] = Field((), strict=False, description="Claims to judge.")
@@ -170,7 +204,6 @@ class FitExperiment(Experiment):
     def _holds_together(self) -> Self:
         for what, names in (
             ("parameter", [p.name for p in self.parameter]),
-            ("parameter.path", [p.path for p in self.parameter]),
             ("measurement", [m.label for m in self.measurement]),
             ("criterion", [c.name for c in self.criterion]),
         ):
@@ -184,6 +217,7 @@ class FitExperiment(Experiment):
             if criterion.of is not None and criterion.of not in labels:
                 hint = nearest(criterion.of, labels) or f"Known: {', '.join(labels)}."
                 raise InputError.of(f"criterion[{k}].of", criterion.of, "names no measurement", hint)
+        self._belongs(labels)
         grid = self.wavelengths.grid()
         for m in self.measurement:
             if m.band_nm is not None and not (m.band_nm[0] <= grid[-1] and m.band_nm[1] >= grid[0]):
@@ -193,31 +227,70 @@ class FitExperiment(Experiment):
         self._tissue_holds()
         return self
 
+    def _belongs(self, labels: list[str]) -> None:
+        for p in self.parameter:
+            for label in p.only or ():
+                if label not in labels:
+                    hint = nearest(label, labels) or f"Known: {', '.join(labels)}."
+                    raise InputError.of(f"parameter {p.name}.only", label, "names no measurement", hint)
+        for m in self.measurement:
+            paths = [p.path for p in self.parameter if p.only is None or m.label in p.only]
+            twice = next((x for x in paths if paths.count(x) > 1), None)
+            if twice is not None:
+                bound = f"two parameters move it in the tissue of {m.label}"
+                raise InputError.of("parameter.path", twice, bound, "Say with only = [...] whose each is, or drop one.")
+            clash = next((x for x in m.set if x in paths), None)
+            if clash is not None:
+                bound = "is a parameter of this tissue, too"
+                raise InputError.of(f"measurement {m.label}.set", clash, bound, "Set it, or fit it.")
+        if any(c.metric == "coverage" for c in self.criterion) and self.round_trip is None:
+            raise InputError.of("criterion.metric", "coverage", "needs round trips", "Add [round_trip].")
+        if self.round_trip is not None:
+            for m in self.measurement:
+                if m.role == "fit" and m.loss != "chi2":
+                    bound = "says no likelihood, so that no interval can be tested by round trips"
+                    raise InputError.of(
+                        f"measurement {m.label}.loss", m.loss, bound, "Use loss = 'chi2' with a standard deviation."
+                    )
+
+    def scenes(self) -> list[Scene]:
+        """The different tissues that were measured; most fits have one."""
+        found: dict[tuple[object, ...], Scene] = {}
+        for m in self.measurement:
+            keys = {p.path: p.key for p in self.parameter if p.only is None or m.label in p.only}
+            same = (repr(sorted(m.set.items())), *sorted(keys.items()))
+            known = found.get(same)
+            labels = (*known.labels, m.label) if known else (m.label,)
+            found[same] = Scene(labels, dict(m.set), keys)
+        return list(found.values())
+
     def _tissue_holds(self) -> None:
         from livlab.model.tissue.tissue import override
         from livlab.optimise.parameters import ParameterSpace
 
         space = ParameterSpace(self.parameters())
         start = space.values(space.vector({}))
-        try:
-            override(self.tissue.build(), start, by="fit")
-        except LivlabError as error:
-            raise InputError.of(
-                "parameter",
-                ", ".join(f"{p.name} = {start[p.path]:g}" for p in self.parameter),
-                f"is no tissue at the start: {error.message}",
-                error.remedy or "Mend the path or the start.",
-            ) from None
+        for scene in self.scenes():
+            tissue = override(self.tissue.build(), scene.set, by="measurement") if scene.set else self.tissue.build()
+            try:
+                override(tissue, {path: start[key] for path, key in scene.keys.items()}, by="fit")
+            except LivlabError as error:
+                raise InputError.of(
+                    "parameter",
+                    ", ".join(f"{p.name} = {start[p.key]:g}" for p in self.parameter),
+                    f"is no tissue at the start: {error.message}",
+                    error.remedy or "Mend the path or the start.",
+                ) from None
 
     def parameters(self) -> list[Any]:
-        """As `livlab.optimise` takes them, by path.
+        """As `livlab.optimise` takes them, by key.
 
         Raises
         ------
         InputError
             A tie to a label that there is none of.
         """
-        paths = {p.name: p.path for p in self.parameter}
+        paths = {p.name: p.key for p in self.parameter}
         for p in self.parameter:
             if p.tied is not None and p.tied not in paths:
                 hint = nearest(p.tied, paths) or f"Known: {', '.join(paths)}."
@@ -225,8 +298,8 @@ class FitExperiment(Experiment):
         return [p.parameter(paths[p.tied] if p.tied is not None else None) for p in self.parameter]
 
     def labels(self) -> dict[str, str]:
-        """Name of each parameter by path."""
-        return {p.path: p.name for p in self.parameter}
+        """Name of each parameter by key."""
+        return {p.key: p.name for p in self.parameter}
 
     def resolve(self) -> Self:
         """With the tissue written out in full."""
@@ -243,4 +316,4 @@ class FitExperiment(Experiment):
         return tuple(sorted({*self.tissue.build().dataset_names(), *found}))
 
 
-__all__ = ["FitCriterion", "FitExperiment", "FitParameter", "Measurement", "Search"]
+__all__ = ["FitCriterion", "FitExperiment", "FitParameter", "Measurement", "RoundTrip", "Scene", "Search"]

@@ -41,22 +41,14 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
             Text(_verdict(run, found)),
             from_frame(
                 found.assign(drift=found["drift"].where(found["drift"].abs() > 1e-9 * found["value"].abs(), 0.0)),
-                f"Fitted values with {level:.0%} intervals, normal in the transformed parameter. At a bound there is "
-                "none.",
+                f"Fitted values with {level:.0%} profile-likelihood intervals. An open end is a bound that the data "
+                "do not exclude. The standard deviation takes what sits at a bound as known.",
                 titles=_HEADINGS,
-                only=["parameter", "unit", "value", "lower", "upper", "sd", "drift", "status", "start"],
+                only=["parameter", "unit", "value", "lower", "upper", "open", "sd", "drift", "status", "start"],
             ),
             pictures.add("fit-intervals", draw.intervals(found, level), "Values and intervals between their bounds."),
         ]
     )
-    if len(run.table("profiles")):
-        values.content.append(
-            from_frame(
-                run.table("profiles"),
-                f"Profile-likelihood intervals, {level:.0%}; an open side reaches its bound.",
-                titles=_HEADINGS,
-            )
-        )
     if len(run.table("correlation")) > 1:
         values.content.append(
             pictures.add("fit-correlation", draw.correlation(run.table("correlation")), "Correlation at the optimum.")

@@ -26,12 +26,17 @@ from livlab.optimise import (
     identifiability,
     least_squares,
 )
+from livlab.optimise.covariance import normal_quantile
+from livlab.study.fit_intervals import Interval, Profiler
 from livlab.study.fit_problem import Forward, Problem, corners
 from livlab.study.fit_targets import Target
 from livlab.units import FloatArray
 
 MOST_RECORDINGS = 5
 """Recordings after which a search that still moves is told as not settled."""
+
+MORE = 2
+"""Recordings beyond those, at most, made because intervals reach to where the last one cannot answer."""
 
 SETTLED = 0.25
 """Share of its standard deviation that a parameter may move from one recording to the next."""
@@ -73,6 +78,10 @@ class FitOutcome:
         Whether fresh draws moved no parameter by more than a share of its standard deviation.
     loss, fresh_loss
         Σ r² at the optimum, with the draws of the search and with fresh ones.
+    profiled
+        Profile-likelihood interval of each free parameter at `level`, also of those at a bound.
+    level
+        Coverage that the intervals claim.
     notes
         Sentences that a report must show.
     seconds
@@ -90,21 +99,38 @@ class FitOutcome:
     settled: bool
     loss: float
     fresh_loss: float
+    profiled: Mapping[str, Interval]
+    level: float
     notes: tuple[str, ...]
     seconds: Mapping[str, float]
     path: pd.DataFrame = field(repr=False)
 
-    def intervals(self, level: float = 0.95) -> pd.DataFrame:
-        """Lower, value, upper, sd, status by parameter; fixed ones have none."""
-        frame = self.covariance.intervals(level)
-        frame["sd"] = pd.Series(self.covariance.sd)
-        status = self.searches[-1].status
-        made = frame.reindex(list(self.best))
-        made["value"] = pd.Series(self.best)
-        made["status"] = pd.Series(status)
-        made["drift"] = pd.Series(self.drift)
+    def intervals(self) -> pd.DataFrame:
+        """Lower, value, upper (profile likelihood), sd, status, open, drift by parameter; fixed ones have no interval.
+
+        `open` says which ends are bounds that the data do not exclude: "", "below", "above" or "both".
+        """
+        rows = {}
+        for name, value in self.best.items():
+            p = self.space.by_name[name]
+            found, factor = self.profiled.get(p.tied or name), p.factor if p.tied else 1.0
+            ends = sorted((factor * found.lower, factor * found.upper)) if found is not None else [math.nan, math.nan]
+            sides = (found.open_below, found.open_above) if found is not None else (False, False)
+            rows[name] = {
+                "lower": ends[0],
+                "value": value,
+                "upper": ends[1],
+                "sd": self.covariance.sd.get(name, math.nan),
+                "status": self.searches[-1].status[name],
+                "drift": self.drift.get(name, math.nan),
+                "open": _OPEN[sides[::-1] if factor < 0 else sides],
+            }
+        made = pd.DataFrame.from_dict(rows, orient="index")
         made.index.name = "parameter"
         return made
+
+
+_OPEN = {(False, False): "", (True, False): "below", (False, True): "above", (True, True): "both"}
 
 
 def fit(
@@ -118,6 +144,7 @@ def fit(
     max_evaluations: int | None = None,
     max_seconds: float = math.inf,
     most_recordings: int = MOST_RECORDINGS,
+    level: float = 0.95,
     progress: Callable[[str, float], None] | None = None,
     stopping: Callable[[], bool] | None = None,
 ) -> FitOutcome:
@@ -137,6 +164,8 @@ def fit(
         Of the first recording; each later one has another.
     most_recordings
         Recordings, two at least, after which it ends unsettled.
+    level
+        Coverage of the intervals.
     progress
         Called with a stage and its share done.
     stopping
@@ -159,12 +188,12 @@ def fit(
     notes: list[str] = []
     begun = time.perf_counter()
 
-    def record(values: Mapping[str, float], number: int) -> None:
+    def record(values: Mapping[str, float], number: int, more: Sequence[Mapping[str, float]] = ()) -> None:
         clock = time.perf_counter()
         about = {} if number == 0 else {"about": values, "reach": REACH}
         forward.record(
             values,
-            corners(forward, space, seed, **about),  # type: ignore[arg-type]
+            [*corners(forward, space, seed, **about), *more],  # type: ignore[arg-type]
             seed=seed + 1000 * number,
             coarser=GUIDE if number == 0 else 1.0,
             progress=lambda s: tell("record", s),
@@ -186,7 +215,9 @@ def fit(
     settled = False
     spread: Covariance | None = None
     scale = correlation = math.nan
-    for number in range(most_recordings):
+    profiled: dict[str, Interval] = {}
+    served: list[Mapping[str, float]] = []
+    for number in range(most_recordings + MORE):
         clock = time.perf_counter()
         options: dict[str, Any] = {"algorithm": algorithm, "starts": starts} if not searches else {"starts": [at]}
         found = least_squares(
@@ -213,17 +244,25 @@ def fit(
         clock = time.perf_counter()
         scale, correlation = _scale(problem, at, space)
         slopes = problem.jacobian(at)
+        plain = covariance_of_residuals(slopes, space, at, variance=scale)
         scatter = _scatter(problem, slopes, at, scale)
-        spread = covariance_of_residuals(slopes, space, at, variance=scale, scatter=scatter)
+        spread = covariance_of_residuals(slopes, space, at, variance=scale, scatter=scatter) if scatter else plain
+        settled = bool(drift) and all(
+            abs(moved[name]) <= TINY or _small(drift[name], spread.sd.get(name, math.inf)) for name in space.names
+        )
+        if not number or settled or number + 1 >= most_recordings:
+            tell("intervals", 0.0)
+            profiler = Profiler(problem, space, at, scale)
+            rises = _rises(plain, spread, normal_quantile(level) ** 2 * scale)
+            told = {name: profiler.interval(name, rises[name]) for name in space.names}
+            # The first recording serves the whole box: its intervals tell what the later ones have to serve.
+            served += _farthest([*profiler.lost, *(profiler.ends if not number else ())], space, at)
+            profiled = told if number else {}
         seconds["uncertainty"] += time.perf_counter() - clock
-        if drift:
-            settled = all(
-                abs(moved[name]) <= TINY or _small(drift[name], spread.sd.get(name, math.inf)) for name in space.names
-            )
-            if settled:
-                break
-        if number + 1 < most_recordings:
-            record(at, number + 1)
+        if profiled and (not profiler.lost or number + 1 >= most_recordings + MORE):
+            break
+        if profiled or number + 1 < most_recordings:
+            record(at, number + 1, served)
     assert spread is not None
     notes += list(dict.fromkeys(s for s in searches[-1].warnings))
     if not settled and drift:
@@ -235,6 +274,11 @@ def fit(
     count = len(problem.residuals(at))
     if count < len(space.free):
         notes.append(f"{len(space.free)} parameters are free and {count} numbers are compared: not all can be held.")
+    if any(x.rough for x in profiled.values()):
+        rough = ", ".join(name for name, x in profiled.items() if x.rough)
+        notes.append(
+            f"The interval of {rough} is rough: the search for its ends, or the recorded walk, gave out there."
+        )
     problem.release()
     return FitOutcome(
         at,
@@ -248,10 +292,34 @@ def fit(
         settled,
         losses[-1],
         fresh,
+        profiled,
+        level,
         tuple(notes),
         seconds,
         pd.concat([s.path.assign(recording=k) for k, s in enumerate(searches)], ignore_index=True),
     )
+
+
+def _rises(plain: Covariance, spread: Covariance, wanted: float) -> dict[str, float]:
+    """Rise of Σ r² at an interval's end: more where the forward model's errors widen what residuals alone would say."""
+    ratios = {n: (spread.sd[n] / plain.sd[n]) ** 2 for n in plain.matrix.index if 0 < plain.sd[n] < math.inf}
+    most = max([1.0, *(r for r in ratios.values() if math.isfinite(r))])
+    return {name: wanted * max(1.0, min(ratios.get(name, most), most)) for name in plain.space.names}
+
+
+def _farthest(
+    lost: Sequence[Mapping[str, float]], space: ParameterSpace, at: Mapping[str, float]
+) -> list[Mapping[str, float]]:
+    """The points farthest along each way, which a recording that serves them serves the others on the way too."""
+    middle = space.vector(at)
+    ways: dict[tuple[int, bool], tuple[float, Mapping[str, float]]] = {}
+    for values in lost:
+        off = space.vector(values) - middle
+        k = int(np.argmax(np.abs(off)))
+        key = (k, bool(off[k] > 0))
+        if key not in ways or abs(off[k]) > ways[key][0]:
+            ways[key] = (abs(float(off[k])), values)
+    return [values for _, values in ways.values()]
 
 
 def _small(change: float, sd: float) -> bool:

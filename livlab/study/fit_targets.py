@@ -176,11 +176,15 @@ class Target:
         return np.asarray(moved / (2.0 * step)) if np.abs(moved).max() > ROUNDING * size else np.zeros_like(moved)
 
     def scores(self, model: FloatArray) -> dict[str, float]:
-        """RMSE and Pearson of the normalised curves, whatever was minimised; nan where there are too few points."""
+        """RMSE, Pearson and (where there is one) colour difference of the compared curves, whatever was minimised."""
         m, d, _ = self.normalised(model)
         found = {"rmse": rmse(m, d) if np.isfinite(m).all() else math.nan, "pearson": math.nan}
         if len(m) >= 3 and np.isfinite(m).all() and np.ptp(m) > 1e-9 * np.abs(m).max() and np.ptp(d) > 0:
             found["pearson"] = pearson(m, d)
+        if self.colour is not None and np.isfinite(m).all():
+            from livlab.metrics import colour_difference
+
+            found["colour difference"] = float(np.ravel(colour_difference(self.colour(m), self.colour(d)))[0])
         return found
 
 

@@ -83,8 +83,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     rng = np.random.default_rng(5)
     held = np.zeros(2)
     for _ in range(200):
-        found = fit(Decay(), [aim(curve(rng, 0.05), sd=0.05, loss="chi2")], PARAMETERS, most_recordings=2)
-        frame = found.intervals(0.9)
+        found = fit(Decay(), [aim(curve(rng, 0.05), sd=0.05, loss="chi2")], PARAMETERS, most_recordings=2, level=0.9)
+        frame = found.intervals()
         for j, (name, truth) in enumerate((("a", 2.0), ("k", 1.3))):
             held[j] += frame.loc[name, "lower"] <= truth <= frame.loc[name, "upper"]
     assert np.all(np.abs(held - 180) <= 13), held
@@ -116,11 +116,12 @@ def test_noise_of_the_forward_model_is_told() -> None:
     assert loud.fresh_loss > 0
 
 
-def test_a_parameter_at_its_bound_has_no_interval_and_is_named() -> None:
+def test_a_parameter_at_its_bound_has_an_open_interval_and_is_named() -> None:
     tight = [PARAMETERS[0], Parameter("k", 0.1, 1.0, 0.5)]
     found = fit(Decay(), [aim(curve())], tight)
     assert found.intervals().loc["k", "status"] == "at upper bound"
-    assert np.isnan(found.intervals().loc["k", "lower"])
+    assert found.intervals().loc["k", "open"] == "above"
+    assert 0.1 < found.intervals().loc["k", "lower"] < found.intervals().loc["k", "upper"] == 1.0
     assert any("upper bound" in note for note in found.notes)
 
 
