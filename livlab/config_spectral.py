@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.acquire.instruments import DEFAULT_ACCURACY, AutoSolver, Instrument, Solver, WalkSolver
+from livlab.acquire.instruments import (
+    DEFAULT_ACCURACY,
+    AddingDoublingSolver,
+    AutoSolver,
+    Instrument,
+    Solver,
+    WalkSolver,
+)
 from livlab.config import Experiment, Label, Section
 from livlab.config_errors import nearest
 from livlab.errors import InputError
@@ -201,7 +208,7 @@ class SpectralExperiment(Experiment):
                 "has an accuracy of its own, so that [accuracy] would not rule",
                 "Write solver.kind = 'auto', or leave [accuracy] out.",
             )
-        if isinstance(self.solver, WalkSolver | AutoSolver) and "seed" in self.solver.model_fields_set:
+        if not isinstance(self.solver, AddingDoublingSolver) and "seed" in self.solver.model_fields_set:
             raise InputError.of("solver.seed", self.solver.seed, "an experiment has one seed", "Set `seed` at the top.")
         self.tissue.build()
         self._curves_can_be_made()

@@ -140,12 +140,30 @@ class WalkSolver(_Part):
     @model_validator(mode="before")
     @classmethod
     def _one_target(cls, given: Any) -> Any:
-        if not isinstance(given, dict):
-            return given
-        rules = [key for key in ("samples", "standard_error", "relative") if given.get(key) is not None]
-        if len(rules) > 1:
-            raise InputError.of("solver", " and ".join(rules), "only one of them can rule", "Drop the others.")
-        return given if rules else {**given, "relative": 0.002}
+        return _one_rule(given, 0.002)
+
+
+class TracerSolver(_Part):
+    """The reference tracer: the sample as a block in a scene (`livlab.model.tracer.block`).
+
+    A path serves all wavelengths. Exactly one of `samples`, `standard_error` and `relative` rules; `relative` 0.01 if
+    none is given. It counts what the instrument reads, no budget of the rest.
+    """
+
+    kind: Literal["tracer"] = "tracer"
+    estimator: Literal["expected", "analog"] = Field("expected", description="Survival by weight, or by chance.")
+    samples: int | None = Field(None, ge=2048, le=10**10, description="Paths; each serves every wavelength.")
+    standard_error: float | None = Field(None, gt=0.0, description="Standard error that every wavelength must meet.")
+    relative: float | None = Field(None, gt=0.0, lt=1.0, description="The same, as a share of the curve's maximum.")
+    launch: int = Field(131_072, ge=2048, le=10**8, description="Paths in one launch.")
+    max_samples: int = Field(10**8, ge=2048, le=10**11, description="Paths after which it is given up.")
+    max_seconds: float | None = Field(None, gt=0.0, description="Seconds after which it stops, unfinished.")
+    seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_target(cls, given: Any) -> Any:
+        return _one_rule(given, 0.01)
 
 
 class AddingDoublingSolver(_Part):
@@ -169,8 +187,18 @@ class AutoSolver(_Part):
 DEFAULT_ACCURACY = Accuracy(relative=0.002)
 """What an `AutoSolver` is to meet if an experiment has no wish: what `WalkSolver` aims at, too."""
 
-Solver = Annotated[WalkSolver | AddingDoublingSolver | AutoSolver, Field(discriminator="kind")]
+Solver = Annotated[WalkSolver | AddingDoublingSolver | TracerSolver | AutoSolver, Field(discriminator="kind")]
 """How the light is followed, by `kind`."""
+
+
+def _one_rule(given: Any, default: float) -> Any:
+    """What a solver was given, with the default rule if it was given none."""
+    if not isinstance(given, dict):
+        return given
+    rules = [key for key in ("samples", "standard_error", "relative") if given.get(key) is not None]
+    if len(rules) > 1:
+        raise InputError.of("solver", " and ".join(rules), "only one of them can rule", "Drop the others.")
+    return given if rules else {**given, "relative": default}
 
 
 def _size(extent: float | str) -> float:

@@ -26,6 +26,7 @@ from livlab.acquire.instruments import (
     Instrument,
     IntegratingSphere,
     Solver,
+    TracerSolver,
     WalkSolver,
 )
 from livlab.acquire.readout import Readout, readout
@@ -83,7 +84,7 @@ def measure(
     instrument
         `Collinear`, `IntegratingSphere`, `FibreProbe` or `HyperspectralCamera`; each says what its value is.
     solver
-        `WalkSolver`, `AddingDoublingSolver`, or `AutoSolver`, which picks the cheaper of the two.
+        `WalkSolver`, `AddingDoublingSolver`, `TracerSolver`, or `AutoSolver`, which picks the cheaper of the first two.
     accuracy
         The wish that an `AutoSolver` is to meet; `DEFAULT_ACCURACY` if none is given.
     variant
@@ -106,12 +107,20 @@ def measure(
     Raises
     ------
     InputError
-        If adding–doubling is asked for a fibre probe, which needs lateral distances; or `resume` is of another
-        measurement.
+        If adding–doubling is asked for a fibre probe, which needs lateral distances; the tracer for a sample that light
+        gets through; or `resume` is of another measurement.
     """
     view = readout(instrument, stack.n_above)
     if isinstance(solver, AddingDoublingSolver):
         return _by_adding_doubling(stack, instrument, solver, solver.tolerance, view)
+    if isinstance(solver, TracerSolver):
+        from livlab.acquire.spectrometer_tracer import by_tracer
+
+        def tell(so_far: xr.Dataset, *told: Any) -> None:
+            if on_round is not None:
+                on_round(so_far, Progress(*told))
+
+        return by_tracer(stack, instrument, solver, view, variant, tell, resume)
     rule, walks = sampling_of(solver, accuracy), None
     notes: tuple[str, ...] = ()
     # What is gone on from has been chosen before, and was a walk: nothing else takes rounds.

@@ -135,7 +135,7 @@ def spectrum(
     >>> bool(found.value[0] < found.value[2])  # blood absorbs green, not red
     True
     """
-    from livlab.acquire.instruments import AutoSolver, WalkSolver
+    from livlab.acquire.instruments import AddingDoublingSolver
     from livlab.acquire.spectrometer import measure
     from livlab.model.tissue.optics import optical_stack
     from livlab.study.spectral import reading_seed
@@ -166,7 +166,7 @@ def spectrum(
             left_out = ", ".join(planned.dropped)
             said = (f"Left out {left_out}; the value moves by at most {planned.bound:.2g}.",)
     used = config.solver
-    if isinstance(used, WalkSolver | AutoSolver):
+    if not isinstance(used, AddingDoublingSolver):
         used = used.model_copy(update={"seed": reading_seed(config.seed, own.name)})
     data = measure(stack, looks, used, accuracy=config.accuracy, variant=config.variant)
     label = name or ", ".join(filter(None, (chosen.name, chosen.state.replace("_", " "), own.name)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.instruments import AutoSolver, Instrument, WalkSolver
+from livlab.acquire.instruments import AddingDoublingSolver, AutoSolver, Instrument, TracerSolver, WalkSolver
 from livlab.acquire.spectrometer import Progress, measure
 from livlab.config_spectral import SpectralExperiment
 from livlab.criteria import Claim
@@ -100,7 +100,7 @@ def _work(
     references: list[Known],
     costs: list[dict[str, object]],
 ) -> None:
-    if isinstance(config.solver, WalkSolver):
+    if isinstance(config.solver, WalkSolver | TracerSolver):
         name_device(run.info, config.variant)
     run.progress.begin(list(stacks))
     pieces: dict[str, xr.Dataset] = {}
@@ -196,7 +196,7 @@ def _measured(
 ) -> xr.Dataset:
     """One reading's measurement: as an earlier call left it, gone on from there, or from the start."""
     solver = config.solver
-    if isinstance(solver, WalkSolver | AutoSolver):
+    if not isinstance(solver, AddingDoublingSolver):
         solver = solver.model_copy(update={"seed": reading_seed(config.seed, name)})
     key = f"measure {name}"
     earlier = run.load_piece(key)

@@ -194,7 +194,7 @@ def energy_residual(piece: xr.Dataset) -> FloatArray:
     """
     total = np.zeros(piece.sizes["wavelength"])
     for part in BUDGET:
-        if part not in piece:
+        if part not in piece or piece[part].isnull().all():
             raise InputError.of("energy", part, "was not counted by this solver", "Leave the criterion out.")
         share = piece[part]
         total = total + (share.sum("layer") if "layer" in share.dims else share).to_numpy()

@@ -84,6 +84,8 @@ def budget(pieces: dict[str, xr.Dataset]) -> Made:
     """Where the light went: shares of the incident light, and what is in none of them."""
     out: Rows = []
     for name, piece in pieces.items():
+        if any(piece[b].isnull().all() for b in BUDGET):
+            continue  # the tracer counts what is read, not the rest
         parts = {b: piece[b].sum("layer") if "layer" in piece[b].dims else piece[b] for b in BUDGET}
         residual = energy_residual(piece)
         for k, x in enumerate(piece["wavelength"].to_numpy()):
