@@ -7,6 +7,7 @@ import pandas as pd
 from livlab.reports import fit_figures as draw
 from livlab.reports.bench import bench_section
 from livlab.reports.figures import Pictures
+from livlab.reports.fit_round_trip import round_trip_section
 from livlab.reports.folder import RunData
 from livlab.reports.tables import Section, Text, from_frame, number
 
@@ -68,7 +69,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
             from_frame(run.table("recordings"), "The recorded walks.", folded="Recordings"),
         ]
     )
-    return [curves, *bench_section(run), values, search]
+    return [curves, *bench_section(run), values, round_trip_section(run, pictures), search]
 
 
 def _verdict(run: RunData, found: pd.DataFrame) -> str:

@@ -25,8 +25,8 @@ STEPS = 24
 REGION = 0.3
 """Share of the box within which residuals are taken as linear."""
 
-TOO_HIGH = 2.0
-"""Rise over the wanted one at which a step is taken back and shortened."""
+TOO_HIGH = 1.0
+"""Share of the wanted rise by which it may be missed; beyond, or if nothing was gained, a step is taken back."""
 
 CLOSE = 0.05
 """Share of the wanted rise within which an end is accepted: 2.5 % of a half-width."""
@@ -148,10 +148,12 @@ class Profiler:
                     return here, False, True
                 found, slopes = self._point(there)
             risen = float(found @ found) - self.base
-            if risen > max(TOO_HIGH * rise, float(r @ r) - self.base) and region > 0.02 * REGION:
-                region *= 0.4  # linear residuals promised less: not that far at once
+            # Linear residuals promise the wanted rise: what they miss by says how far they can be believed.
+            old, new = (max((x - self.base) / rise - 1.0, 0.0) for x in (float(r @ r), risen + self.base))
+            if new > CLOSE and new >= (min(old, TOO_HIGH) if old > CLOSE else TOO_HIGH) and region > 0.01 * REGION:
+                region *= 0.4
                 continue
-            region = min(1.5 * region, REGION)
+            region = max(0.5 * region, 0.01 * REGION) if new > max(0.5 * old, CLOSE) else min(1.5 * region, REGION)
             moved = abs(float(there[k] - here[k]))
             here, r, jacobian = there, found, slopes
             if risen <= rise:
