@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+FRACTION, LARGE = r"\frac", r"\dfrac"
 SEARCH = 'data-md-component="search" role="dialog"'
 COMMANDS = "<!-- every command, by docs_hooks -->"
 
@@ -45,7 +46,7 @@ def on_post_page(output: str, **_: Any) -> str:
 
 def equation(source: str, *_: Any, **__: Any) -> str:
     """TeX lines as one SVG each, in the colour of the text around, named by their source for who cannot see them."""
-    lines = [f"<p>{drawn(line)}</p>" for line in source.splitlines() if line.strip()]
+    lines = [f"<p>{drawn(line.replace(FRACTION, LARGE))}</p>" for line in source.splitlines() if line.strip()]
     return f'<div class="equation" tabindex="0">{"".join(lines)}</div>'
 
 

@@ -20,7 +20,7 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "-
 needs_browser = pytest.mark.skipif(
     CHROMIUM is None, reason="no Chromium on this machine: the site was not opened in a browser"
 )
-OPENED = ["index.html", "physics.html", "tutorials/spectrum.html", "reference/commands.html", "errors.html"]
+OPENED = ["index.html", "physics.html", "tutorials/spectrum.html", "reference/commands.html"]
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_pages_are_quiet_offline_fit_and_are_accessible(browser: Any, site: Path
     for name in OPENED:
         page.goto((site / name).as_uri())
         assert page.evaluate("document.documentElement.scrollWidth") <= width, name
-        found = Axe().run(page)
+        found = Axe().run(page, options={"preload": False})  # else it fetches the styles, which a folder refuses
         assert found.violations_count == 0, f"{name}: {found.generate_report()}"
     assert said == []
     assert [u for u in asked if not u.startswith(("file:", "data:"))] == []
@@ -132,8 +132,7 @@ def test_pages_are_quiet_offline_fit_and_are_accessible(browser: Any, site: Path
 def test_search_finds_without_a_server(browser: Any, site: Path) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto((site / "reference" / "commands.html").as_uri())
-    page.locator(".md-search__input").click()
-    page.locator(".md-search__input").fill("riccati")
+    page.locator(".md-search__input").press_sequentially("riccati")
     first = page.locator(".md-search-result__link").first
     first.wait_for(timeout=60_000)
     assert first.get_attribute("href").startswith(site.as_uri())
