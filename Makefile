@@ -20,6 +20,9 @@ setup: ## put everything into .venv, and find or install a usable libLLVM
 report: setup ## simulate liver tissue, measure it, compare it, write the HTML report
 	@$(BIN)/livlab run experiments/spectral.toml
 
+dossier: setup ## run or reuse every experiment, and build the site of all claims (dossier/index.html)
+	@$(BIN)/livlab validate
+
 test: setup ## the tests that take minutes
 	$(PYTEST) $(WORKERS) $(TESTS)
 

@@ -100,6 +100,7 @@ class Group(Section):
 
     id: Anchor = Field(description="Name of the page.")
     title: Line = Field(description="Its heading.")
+    short: str = Field("", max_length=20, description="How the menu calls it; its title if not said.")
     text: Text = Field("", description="What it is about.")
     effects: bool = Field(False, description="Whether the page gathers what every run left out.")
     experiment: tuple[Entry, ...] = Field(strict=False, min_length=1, description="In this order.")

@@ -13,9 +13,6 @@ from livlab.reports.dossier_thesis import answered, thesis_parts
 from livlab.reports.picture_words import findings
 from livlab.reports.tables import Text, number
 
-FOLDED = 12
-"""Claims of one experiment beyond which the index folds them."""
-
 REST = "rest"
 
 
@@ -25,8 +22,8 @@ class Part:
 
     Attributes
     ----------
-    counts
-        Verdicts shown beside its heading.
+    counts, verdict
+        Verdicts shown beside its heading: numbers of them, or one.
     notice
         What is wrong with it, shown apart.
     lead, link
@@ -44,6 +41,7 @@ class Part:
     link: str = ""
     left: tuple[Any, ...] = ()
     after: tuple[Any, ...] = ()
+    verdict: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,10 +107,10 @@ def thesis_page(site: Site) -> Page:
                 str(answer["id"]),
                 f"{answer['name']}: {answer['title']}",
                 tuple(right),
-                ((MISSING, 1),) if missing else (),
-                missing,
+                notice=missing,
                 left=tuple(left),
                 after=tuple(after),
+                verdict=MISSING if missing else "",
             )
         )
     return Page(
@@ -135,21 +133,23 @@ def group_pages(site: Site) -> list[Page]:
         parts = [_experiment(site, e, texts.get(e.name, {}), str(group["id"])) for e in entries]
         if group["effects"]:
             parts.append(_left_out(site))
-        pages.append(_grouped(str(group["id"]), str(group["title"]), str(group["text"]).strip(), entries, parts))
+        pages.append(_grouped(group, entries, parts))
     rest = [e for e in site.entries if e.group == REST]
     if rest:
         parts = [_experiment(site, e, {}, REST) for e in rest]
         words = "Experiments of the folder that the dossier's file does not list."
-        pages.append(_grouped(REST, "Other experiments", words, rest, parts))
+        other = {"id": REST, "short": "Other", "title": "Other experiments", "text": words}
+        pages.append(_grouped(other, rest, parts))
     return pages
 
 
-def _grouped(name: str, title: str, text: str, entries: Sequence[Entry], parts: Sequence[Part]) -> Page:
+def _grouped(group: Mapping[str, Any], entries: Sequence[Entry], parts: Sequence[Part]) -> Page:
     counts: Counter[str] = Counter()
     for e in entries:
         counts.update(dict(e.counts))
     shown = tuple((v, counts[v]) for v in ("PASS", "FAIL", MISSING) if counts[v])
-    return Page(name, title, title, text, tuple(parts), shown)
+    title, text = str(group["title"]), str(group["text"]).strip()
+    return Page(str(group["id"]), str(group["short"] or title), title, text, tuple(parts), shown)
 
 
 def _experiment(site: Site, e: Entry, said: Mapping[str, Any], page: str) -> Part:
@@ -191,15 +191,16 @@ def _claims(e: Entry) -> Any:
 
 
 def _every_claim(site: Site) -> list[Part]:
-    """Every claim by group; what is long is folded."""
+    """Every claim by group, each experiment's behind a line that counts them; on paper they stand open."""
     titles = {str(g["id"]): str(g["title"]) for g in site.dossier["group"]} | {REST: "Other experiments"}
     content: list[Any] = []
     for group, title in titles.items():
         for e in site.entries:
             if e.group == group and e.rows:
-                words = f"{title}: {e.title} ({len(e.rows)})"
+                told = ", ".join(f"{n} {verdict}" for verdict, n in e.counts)
+                words = f"{title}: {e.title}"
                 grid = claims_grid([(e, c) for c in e.rows], words)
-                content.append(replace(grid, folded=words) if len(e.rows) > FOLDED else grid)
+                content.append(replace(grid, folded=f"{words} ({told})"))
     return [Part("claims", "Every claim", tuple(content))]
 
 
