@@ -154,7 +154,8 @@ def validate(
             seconds = time.monotonic() - started
             ended[one.name] = Ended("failed", f"{error.message} {error.remedy}".strip(), None, seconds)
         told = ended[one.name]
-        say(f"    {told.state} after {told.seconds:.0f} s" + (f": {told.reason}" if told.reason else ""))
+        cores = f", {told.processor_seconds:.0f} s of all cores" if told.processor_seconds else ""
+        say(f"    {told.state} after {told.seconds:.0f} s{cores}" + (f": {told.reason}" if told.reason else ""))
     return {one.name: ended[one.name] for one in experiments}
 
 
