@@ -77,7 +77,13 @@ def _load(m: Measurement) -> Known:
 
 
 def _target(m: Measurement, known: Known, grid: FloatArray, place: int, scenes: int) -> Target:
-    """A measurement on the wavelengths of its own scene; the other scenes' places are not used."""
+    """A measurement on the wavelengths of its own scene; the other scenes' places are not used.
+
+    Raises
+    ------
+    InputError
+        A curve shorter than its band, or that cannot be compared.
+    """
     data, sd = known.at(grid)
     if m.sd_column is not None and sd is not None:
         sigma = sd / np.sqrt(m.subjects)
@@ -89,7 +95,16 @@ def _target(m: Measurement, known: Known, grid: FloatArray, place: int, scenes: 
         sigma = np.full_like(data, np.nan)
     use = np.isfinite(data)
     if m.band_nm is not None:
-        use &= (grid >= m.band_nm[0]) & (grid <= m.band_nm[1])
+        band = (grid >= m.band_nm[0]) & (grid <= m.band_nm[1])
+        if not use[band].all():
+            assert known.dataset is not None
+            low, high = known.dataset.range_nm
+            had = (max(low, m.band_nm[0]), min(high, m.band_nm[1]))
+            remedy = f"Use band_nm = [{had[0]:g}, {had[1]:g}]." if had[0] < had[1] else "Use a curve of that band."
+            raise InputError.of(
+                f"measurement {m.label}.band_nm", m.band_nm, f"reaches beyond the curve, {low:g}–{high:g} nm", remedy
+            )
+        use &= band
     colour = _colour(m, grid[use])
 
     def placed(values: Any, empty: Any) -> Any:
