@@ -246,7 +246,7 @@ def _ways(run: RunData, pictures: Pictures) -> Section:
                 "Image error against time on a small copy of the picture, all wavelengths, compiling apart: two "
                 "pictures with other seeds, their difference over √2, over the mean radiance. Left: root mean square "
                 "over the lit body and the wavelengths, which a few very bright pixels can rule; right: 1.48 of the "
-                "median, which is the same where errors are normal.",
+                "median, the same where errors are normal, and too small where rare bright paths carry light.",
             )
         )
         section.content.append(from_frame(table, "Every picture tried.", folded="The numbers"))
