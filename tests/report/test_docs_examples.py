@@ -18,6 +18,7 @@ from livlab.cli.app import app
 
 PAGES = pages()
 FOLLOWED = [p for p in PAGES if any(b.wish and b.wish[0] == "run" for b in blocks(p))]
+COMMAND = get_command(app)
 BLOCKS = [b for p in PAGES for b in blocks(p)]
 
 
@@ -101,7 +102,7 @@ def test_every_command_shown_exists() -> None:
 
 def mistake(words: list[str]) -> str:
     """What is wrong with a command line, or nothing."""
-    command: Any = get_command(app)
+    command: Any = COMMAND
     rest = words[1:]
     while getattr(command, "commands", None) and rest and not rest[0].startswith("-"):
         # An ellipsis or several subcommands at once ("list | show") stand for whatever there is.
