@@ -72,7 +72,8 @@ def write_mitsuba(
             "brdf",
             f"{int(bad.any(axis=-1).sum())} of {bad[..., 0].size} directions",
             "are holes, negative or infinite",
-            "Fill the holes of a table with holes='fill' (--holes fill), or write them as 0 with holes='zero'; clip negative values.",
+            "Fill the holes of a table with holes='fill' (--holes fill), or write them as 0 with holes='zero'; "
+            "clip negative values.",
         )
     channels = value.shape[-1]
     fields: dict[str, Array] = {
