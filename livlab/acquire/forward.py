@@ -159,6 +159,7 @@ class LedgerForward:
         self.recordings.append(
             {
                 "seed": seed,
+                "standard_error": coarser * self.standard_error,
                 "photons": self.ledger.photons,
                 "rows": len(self.ledger),
                 "anchors_nm": " ".join(f"{x:g}" for x in self.ledger.anchors.wavelength_nm),

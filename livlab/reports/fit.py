@@ -29,7 +29,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
                 "Measured and fitted curves as they were compared; shaded: ±2σ of the measurement.",
             ),
         from_frame(
-            run.table("scores"),
+            run.table("scores").dropna(axis="columns", how="all"),
             "RMSE and Pearson's correlation of the compared curves, fitted and at the start.",
             titles={"first_nm": "first [nm]", "last_nm": "last [nm]", "rmse": "RMSE", "pearson": "Pearson",
                     "rmse_start": "RMSE at the start", "pearson_start": "Pearson at the start"},
@@ -64,7 +64,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
                 run.table("costs"),
                 "What each stage took.",
                 only=["stage", "seconds", "evaluations", "samples", "error"],
-                titles={"error": "largest standard error"},
+                titles={"error": "standard error of the total reflectance"},
             ),
             from_frame(run.table("recordings"), "The recorded walks.", folded="Recordings"),
         ]
@@ -82,11 +82,14 @@ def _verdict(run: RunData, found: pd.DataFrame) -> str:
         + (", which fresh draws confirmed." if int(a["settled"]) else ", which fresh draws did not confirm.")
     ]
     if bound:
-        told.append(f"{_and(bound)} at a bound: the data ask for more than is allowed.")
+        told.append(f"At a bound: {_and(bound)}; the optimum may lie beyond it.")
+    free = found[found["open"].fillna("") == "both"]["parameter"].tolist()
+    if free:
+        told.append(f"Not identifiable: {_and(free)}, whose interval reaches from bound to bound.")
     if a["verdict"] != "held" and held:
         condition = number(float(a["condition"]), 2)
         told.append(
-            f"The data hold {_and(held)} only {'weakly' if a['verdict'] == 'weak' else 'in part'} "
+            f"As a whole the data hold {_and(held)} only {'weakly' if a['verdict'] == 'weak' else 'in part'} "
             f"(condition number {condition}): see the notes for the combination that they leave open."
         )
     if abs(float(a["autocorrelation"])) > 0.3:

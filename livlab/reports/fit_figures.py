@@ -29,6 +29,7 @@ def curves(result: xr.Dataset) -> Figure:
             top.plot(x, start, color=colour(1), ls=(0, (2, 2)), lw=1.2, label="model at the start")
             top.plot(x, model, color=colour(0), lw=2, label="model fitted")
             low.axhline(0, color=INK, lw=0.8)
+            low.tick_params(labelbottom=True)
             low.plot(x, model - data, color=colour(0), marker=MARKERS[0], ms=2.5, lw=1)
             top.set_title(f"{label} ({role})", loc="left")
             top.set_ylabel("curve")
@@ -100,11 +101,13 @@ def correlation(table: pd.DataFrame) -> Figure:
         size = 1.6 + 0.62 * len(names)
         figure = Figure(figsize=(size + 2.2, size))
         ax = figure.subplots()
-        ax.imshow(matrix, vmin=-1, vmax=1, cmap="PuOr")
+        shown = ax.imshow(matrix, vmin=-1, vmax=1, cmap="PuOr")
         for i in range(len(names)):
             for j in range(len(names)):
                 value = matrix[i, j]
-                shade = "white" if abs(value) > 0.7 else "#1b1f24"
+                red, green, blue, _ = shown.to_rgba(np.nan_to_num(value))
+                # Not the page's ink, which turns light on a dark page while the cells stay as they are.
+                shade = "#010101" if 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2 > 0.18 else "#fefefe"
                 ax.text(j, i, f"{value:.2f}" if np.isfinite(value) else "–", ha="center", va="center", color=shade)
         ax.set_xticks(range(len(names)), names, rotation=35, ha="right")
         ax.set_yticks(range(len(names)), names)

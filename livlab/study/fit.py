@@ -274,6 +274,9 @@ def fit(
     count = len(problem.residuals(at))
     if count < len(space.free):
         notes.append(f"{len(space.free)} parameters are free and {count} numbers are compared: not all can be held.")
+    lost = [name for name, x in profiled.items() if x.spans]
+    if lost:
+        notes.append(f"The data do not bound {', '.join(lost)}: the interval reaches from bound to bound.")
     if any(x.rough for x in profiled.values()):
         rough = ", ".join(name for name, x in profiled.items() if x.rough)
         notes.append(

@@ -189,7 +189,7 @@ def path(config: FitExperiment, found: FitOutcome) -> tuple[tuple[str, ...], lis
 
 def costs(reading: str, found: FitOutcome, forward: JointForward, best: Any) -> list[dict[str, object]]:
     """Rows of costs.csv: each walk, each search, and the intervals."""
-    error, level = float(best.standard_error.max()), float(best.value.max())
+    level = float(np.nanmax(best.value))
     rows: list[dict[str, object]] = [
         {
             "stage": "measure",
@@ -197,8 +197,8 @@ def costs(reading: str, found: FitOutcome, forward: JointForward, best: Any) -> 
             "samples": r["photons"],
             "samples_per_second": float(r["photons"]) / float(r["seconds"]),  # type: ignore[arg-type]
             "solver": "ledger",
-            "error": error,
-            "relative_error": error / max(level, 1e-300),
+            "error": r["standard_error"],
+            "relative_error": float(r["standard_error"]) / max(level, 1e-300),  # type: ignore[arg-type]
         }
         for r in forward.recordings
     ]
