@@ -22,10 +22,6 @@ def test_fifty_livers_come_back(tmp_path: Path) -> None:
     assert 0.90 <= claims.loc["coverage of round trips", "value"] <= 0.99
     table = pd.read_csv(done.folder / "round_trip.csv").set_index("parameter")
     assert (table["tissues"] == 50).all()
-    # No single parameter is worse than chance allows: 0.95 lies within its 99.9 % binomial interval.
-    from livlab.study.fit_coverage import binomial
-
-    for name, row in table.iterrows():
-        low, high = binomial(int(row["inside"]), 50, level=0.999)
-        assert low <= 0.95 <= max(high, 0.95) or row["spans"] > 0, name
-        assert high >= 0.95, name
+    # No single parameter is worse than chance allows: 42 of 50 and fewer have a chance of 0.3 % at 0.95 (2 % in one of
+    # six), and of a half at 0.85. Too many is no fault: an interval that spans its box holds every truth.
+    assert (table["inside"] >= 43).all()
