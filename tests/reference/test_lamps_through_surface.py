@@ -67,7 +67,10 @@ def bodies(mi: Any, kind: str) -> tuple[dict[str, Any], Body]:
     return {"ball": stage.surface(mi, mesh)}, Body(stack, "ball", field)
 
 
-@pytest.mark.parametrize("kind", ["thin", "dense", "nested", "mesh", "thin mesh", "depth"])
+SLOW = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("mesh", "thin mesh")]
+
+
+@pytest.mark.parametrize("kind", ["thin", "dense", "nested", "depth", *SLOW])
 def test_a_lamp_asked_for_is_as_bright_as_one_met_by_chance(mi: Any, kind: str) -> None:
     shapes, body = bodies(mi, kind)
     lamp = {"lamp": stage.rectangle_light(mi, [1, 1, 4], [0, 0, 0], [4, 4], 1.5)}
