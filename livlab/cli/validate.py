@@ -87,7 +87,7 @@ def validate(
     except (KeyboardInterrupt, Interrupted):
         raise Interrupted("Stopped; what is done is kept.", remedy=f"To go on: {again}") from None
     if update_baseline:
-        taken = {n: e.seconds for n, e in ended.items() if e.state == "complete" and not e.cached}
+        taken = {n: _seconds(e) for n, e in ended.items() if e.folder is not None}
         write_baseline(held_file, updated(held, ended, config.unrecorded, chosen, taken))
         held = load_baseline(held_file)
     lost, gained = compare(held, ended, config.unrecorded, chosen)
@@ -97,6 +97,13 @@ def validate(
     typer.echo(page)
     if check and lost:
         raise typer.Exit(1)
+
+
+def _seconds(e: Ended) -> float:
+    """What a run took when it ran, be it now or before."""
+    from livlab.runs import read_manifest
+
+    return float(read_manifest(e.folder).get("seconds", e.seconds)) if e.folder is not None else e.seconds
 
 
 def _site(data: dict[str, object], out: Path) -> Path:
