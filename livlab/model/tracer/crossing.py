@@ -111,8 +111,9 @@ def _enter(kernel: Kernel, s: State, row: Any, reflects: Any, active: Any, inter
     dr, mi, m = kernel.dr, kernel.mi, kernel.medium
     assert m is not None
     if m.vector and any(m.m.dispersive):
-        found = m.packet(m.log_fresnel, 2 * row + dr.select(reflects, mi.UInt32(0), 1), m.m.padded)
         add = active & m.pick(interface, [mi.Bool(x) for x in m.m.dispersive])
+        # Where nothing is crossed the row is none of the table's.
+        found = m.packet(m.log_fresnel, 2 * row + dr.select(reflects, mi.UInt32(0), 1), m.m.padded, add)
         s.ledger.rows = [x + dr.select(add, r, 0.0) for x, r in zip(s.ledger.rows, found, strict=False)]
 
 
