@@ -53,7 +53,7 @@ def test_output_is_compared() -> None:
 
 @pytest.mark.parametrize("block", [b for b in BLOCKS if b.language == "toml"], ids=lambda b: b.place)
 def test_toml_is_toml(block: Block) -> None:
-    tomllib.loads(block.text)
+    assert tomllib.loads(block.text)
 
 
 @pytest.mark.parametrize("block", [b for b in BLOCKS if b.language == "python"], ids=lambda b: b.place)
