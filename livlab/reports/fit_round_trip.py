@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from livlab.reports.figures import INK, MUTED, RULE, Pictures, colour, style
 from livlab.reports.folder import RunData
@@ -78,7 +79,7 @@ def coverage(table: pd.DataFrame, level: float) -> Figure:
         ax.set_ylim(len(table) - 0.5, -0.5)
         ax.set_xlim(min(0.5, float(table["coverage_low"].min()) - 0.02), 1.01)
         ax.set_xlabel(f"share that holds the truth; line: {level:.0%}, shaded: {WANTED[0]:.0%}–{WANTED[1]:.0%}")
-        ax.legend(loc="upper left")
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
         return figure
 
 
@@ -95,8 +96,8 @@ def values(trips: pd.DataFrame) -> Figure:
             truth, value = part["truth"].to_numpy(dtype=float), part["value"].to_numpy(dtype=float)
             low, high = part["lower"].to_numpy(dtype=float), part["upper"].to_numpy(dtype=float)
             good = part["inside"].astype(bool).to_numpy()
-            log = truth.min() > 0 and truth.max() / truth.min() > 5
             ends = [min(truth.min(), low.min()), max(truth.max(), high.max())]
+            log = 12.0 * ends[0] < ends[1] < 1e4 * ends[0]
             ax.plot(ends, ends, color=MUTED, lw=1)
             for chosen, tint, mark in ((good, colour(0), "o"), (~good, colour(1), "X")):
                 ax.vlines(truth[chosen], low[chosen], high[chosen], color=tint, lw=1.2, alpha=0.6)
@@ -104,6 +105,8 @@ def values(trips: pd.DataFrame) -> Figure:
             if log:
                 ax.set_xscale("log")
                 ax.set_yscale("log")
+                ax.xaxis.set_minor_formatter(NullFormatter())
+                ax.yaxis.set_minor_formatter(NullFormatter())
             ax.set_title(name, loc="left")
             ax.set_xlabel("truth")
             ax.set_ylabel("fitted")

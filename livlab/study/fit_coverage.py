@@ -86,10 +86,17 @@ def by_tissue(trips: Sequence[Trip], labels: Mapping[str, str]) -> tuple[tuple[s
     return TISSUES, rows
 
 
-def overall(trips: Sequence[Trip]) -> float | None:
-    """Share of intervals that hold the truth, of all that say anything: those from bound to bound are left out."""
+def overall(trips: Sequence[Trip]) -> tuple[float, float] | None:
+    """Share of intervals that hold the truth, of all that say anything, and its standard error; None if none does.
+
+    Those from bound to bound are left out. The error is binomial, with one more of each kind so that it is not 0 where
+    all hold.
+    """
     said = [h.inside for trip in trips for h in trip.held if not h.spans]
-    return float(np.mean(said)) if said else None
+    if not said:
+        return None
+    share = (sum(said) + 1.0) / (len(said) + 2.0)
+    return float(np.mean(said)), float(np.sqrt(share * (1.0 - share) / len(said)))
 
 
 def sentences(trips: Sequence[Trip], labels: Mapping[str, str]) -> list[str]:

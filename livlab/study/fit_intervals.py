@@ -153,6 +153,7 @@ class Profiler:
             if new > CLOSE and new >= (min(old, TOO_HIGH) if old > CLOSE else TOO_HIGH) and region > 0.01 * REGION:
                 region *= 0.4
                 continue
+            free = float(np.abs(there - here).max()) < 0.9 * region
             region = max(0.5 * region, 0.01 * REGION) if new > max(0.5 * old, CLOSE) else min(1.5 * region, REGION)
             moved = abs(float(there[k] - here[k]))
             here, r, jacobian = there, found, slopes
@@ -162,7 +163,7 @@ class Profiler:
                 if there[k] == edge:
                     return there, True, False
             near = abs(risen - rise) <= CLOSE * rise
-            if near and moved <= CLOSE * abs(float(there[k] - self.x[k])) + 1e-6:
+            if near and free and moved <= CLOSE * abs(float(there[k] - self.x[k])) + 1e-6:
                 return there, False, False
         return here, False, True
 

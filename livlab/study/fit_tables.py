@@ -211,7 +211,7 @@ def claims(
     config: FitExperiment,
     scores: Sequence[dict[str, object]],
     found: FitOutcome,
-    coverage: float | None,
+    coverage: tuple[float, float] | None,
     reasons: dict[str, str],
     seconds: float,
 ) -> list[Claim]:
@@ -220,13 +220,16 @@ def claims(
     claims = []
     for c in config.criterion:
         value: Any
-        if c.of is None:
-            value = float(found.settled) if c.metric == "settled" else coverage
+        error = 0.0
+        if c.metric == "settled":
+            value = float(found.settled)
+        elif c.metric == "coverage":
+            value, error = coverage or (None, 0.0)
         else:
-            value = by_label.get(c.of, {}).get(c.metric.replace(" ", "_"))
+            value = by_label.get(str(c.of), {}).get(c.metric.replace(" ", "_"))
         if value is None:
-            why = reasons.get(str(c.of)) or f"{c.metric} of {c.of} cannot be computed"
+            why = reasons.get(str(c.of)) or f"{c.metric} of {c.of or 'round trips'} cannot be computed"
             claims.append(Claim.missing(c.name, why, reference=c.reference, tolerance=c.tolerance, seconds=seconds))
         else:
-            claims.append(Claim.of(c.name, float(value), 0.0, c.reference, c.tolerance, seconds=seconds))
+            claims.append(Claim.of(c.name, float(value), error, c.reference, c.tolerance, seconds=seconds))
     return claims

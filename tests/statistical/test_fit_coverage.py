@@ -85,8 +85,10 @@ def honest() -> list[Trip]:
 
 def test_intervals_hold_the_truth_as_often_as_they_say(honest: list[Trip]) -> None:
     # 450 intervals of 150 tissues: 0.95 ± 0.0178 if a tissue's three hold or fail together; 0.90 would be found out.
-    share = fit_coverage.overall(honest)
-    assert share is not None
+    found = fit_coverage.overall(honest)
+    assert found is not None
+    share, error = found
+    assert error == pytest.approx(np.sqrt(share * (1 - share) / 450), rel=0.1)
     assert abs(share - 0.95) < 2.5 * np.sqrt(0.95 * 0.05 / 150)
     _, rows = fit_coverage.by_parameter(honest, {})
     for row in rows:
@@ -102,9 +104,9 @@ def test_chi_square_at_the_truth_has_its_mean(honest: list[Trip]) -> None:
 
 def test_errors_of_the_walk_that_nobody_counts_are_found_out() -> None:
     # The same with the walk's errors kept secret: the intervals claim too much, and the count says so.
-    share = fit_coverage.overall(trips(Walked(sd=0.03, told=0.0), 60))
-    assert share is not None
-    assert share < 0.85
+    found = fit_coverage.overall(trips(Walked(sd=0.03, told=0.0), 60))
+    assert found is not None
+    assert found[0] < 0.85
 
 
 def test_what_a_shape_cannot_hold_is_named() -> None:
