@@ -250,7 +250,7 @@ def test_what_is_refused(tmp_path):
         read_mitsuba(path)
     with path.open("wb") as stream:
         stream.truncate((1 << 30) + 1)  # sparse: nothing is written
-    with pytest.raises(DatasetError, match="at most"):
+    with pytest.raises(DatasetError, match="more than the 1024 MiB"):
         read_mitsuba(path)
     path.write_bytes(content)
     for brdf, options, match in (

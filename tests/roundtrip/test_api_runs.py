@@ -194,7 +194,9 @@ def test_a_fit_from_python_is_the_one_from_the_shell(
         np.testing.assert_allclose(found.table[column], table[column], rtol=1e-7, err_msg=column)
     np.testing.assert_allclose(found.spectrum.value, run.spectra["fitted"].value, rtol=1e-9)
     for label, true in (("melanosomes", 0.06), ("blood", 0.006)):
-        assert found.values[label] == pytest.approx(true, rel=0.05)
+        sd = found.table.loc[label, "sd"]  # of the recorded walk: an error of 5 % may be chance, three of these not
+        assert sd < 0.1 * true
+        assert abs(found.values[label] - true) <= 3.0 * sd
     assert found.tissue.layers[0].elements["melanosomes"].fraction == found.values["melanosomes"]  # type: ignore[union-attr]
     assert "melanosomes" in found._repr_html_()
     assert repr(found).startswith("<FitResult")
