@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.model.tissue.compiled import compiled
 from livlab.units import FloatArray
 
 TILE = 8
@@ -92,7 +93,7 @@ def _accumulate(
 # Each loop below writes few arrays and reads at most eight: more, and LLVM gives up proving them apart.
 
 
-@numba.njit(nogil=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
 def _dot(one: FloatArray, theta: FloatArray, e: FloatArray) -> None:
     for f in range(0, theta.shape[0], 4):
         t0, t1, t2, t3 = theta[f], theta[f + 1], theta[f + 2], theta[f + 3]
@@ -101,7 +102,7 @@ def _dot(one: FloatArray, theta: FloatArray, e: FloatArray) -> None:
             e[s] += (a0 * t0[s] + a1 * t1[s]) + (a2 * t2[s] + a3 * t3[s])
 
 
-@numba.njit(nogil=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
 def _weigh(e: FloatArray, q: float, count: FloatArray, square: FloatArray) -> None:
     for s in range(e.size):
         v = _exp(e[s])
@@ -110,7 +111,7 @@ def _weigh(e: FloatArray, q: float, count: FloatArray, square: FloatArray) -> No
         square[s] += q * v * v
 
 
-@numba.njit(nogil=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
 def _slope(e: FloatArray, along: FloatArray, q: float, slope: FloatArray, square: FloatArray) -> None:
     for s in range(e.size):
         v = e[s] * along[s]
@@ -118,7 +119,7 @@ def _slope(e: FloatArray, along: FloatArray, q: float, slope: FloatArray, square
         square[s] += q * v * v
 
 
-@numba.njit(nogil=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
 def _gather(one: FloatArray, e: FloatArray, features: FloatArray) -> None:
     e0, e1, e2, e3, e4, e5, e6, e7 = e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]
     for f in range(features.shape[0]):
@@ -130,7 +131,4 @@ def _gather(one: FloatArray, e: FloatArray, features: FloatArray) -> None:
             t[s] += v0 + ((a4 * e4[s] + a5 * e5[s]) + (a6 * e6[s] + a7 * e7[s]))
 
 
-try:
-    accumulate = numba.njit(nogil=True, cache=True, fastmath={"contract"})(_accumulate)
-except RuntimeError:  # no folder to keep machine code in
-    accumulate = numba.njit(nogil=True, fastmath={"contract"})(_accumulate)
+accumulate = compiled(_accumulate, nogil=True)
