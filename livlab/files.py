@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shlex
 import stat
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +22,6 @@ REMEDIES = {
     errno.EROFS: "The file system is read-only: name another folder with --out.",
     errno.EACCES: "Ask for permission to write there, or name another folder with --out.",
     errno.EPERM: "Ask for permission to write there, or name another folder with --out.",
-    errno.ENOENT: "Make the folder first, or name another one.",
     errno.ENOTDIR: "A file stands where a folder is needed: name another folder with --out.",
     errno.EEXIST: "A file stands where a folder is needed: name another folder with --out.",
     errno.ENAMETOOLONG: "Use a shorter name, or a shorter --out.",
@@ -59,13 +60,36 @@ def first_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {said}" if said else type(error).__name__
 
 
+def missing_folder(folder: Path) -> str:
+    """What to do about a folder in which nothing can be written: make it, or, where none can be made, go elsewhere.
+
+    Whether one can be made is tried, since permissions do not tell: a kernel's file system grants and refuses.
+    """
+    there = folder.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        return f"{there} is a file: choose another folder."
+    try:
+        with tempfile.TemporaryDirectory(prefix=".livlab-", dir=there):
+            pass
+    except OSError:
+        return f"Nothing can be written in {there}: choose another folder."
+    if folder.is_dir():
+        return "It vanished while it was in use: try again, or choose another folder."
+    return f"Make the folder first (mkdir -p {shlex.quote(str(folder))}), or choose another."
+
+
 @contextlib.contextmanager
 def told_plainly(path: Path) -> Iterator[None]:
     """Turn an `OSError` inside into an `EnvironmentProblem` that names the path and the remedy."""
     try:
         yield
     except OSError as error:
-        remedy = REMEDIES.get(error.errno or 0, "Check the disk, or name another folder with --out.")
+        if error.errno == errno.ENOENT:
+            remedy = missing_folder(path.parent)
+        else:
+            remedy = REMEDIES.get(error.errno or 0, "Check the disk, or name another folder with --out.")
         raise EnvironmentProblem(f"Cannot write {path}: {error.strerror or error}.", remedy=remedy) from error
 
 

@@ -110,7 +110,7 @@ def execute(
     Raises
     ------
     EnvironmentProblem
-        The folder cannot be written, or another process works on it.
+        The folder cannot be written, another process works on it, or the variant needs a GPU that is not there.
     DatasetError
         A dataset it needs is missing or was tampered with.
     Interrupted
@@ -123,6 +123,7 @@ def execute(
     folder = folder_of(config, identity, Path(base))
     if not force and is_complete(folder, identity):
         return _outcome(folder, _report(folder, report, only_missing=True), cached=True)
+    check_device(config, scheduler)
     open_folder(Path(base))
     work: Callable[[Run], None] = KINDS[config.plain()["kind"]].load_job()(config)
     open_folder(folder)
@@ -134,6 +135,32 @@ def execute(
             run.drop_pieces()
         _work(run, work, command or f"livlab run {folder / 'config.toml'}", hashes, again=force)
         return _outcome(folder, _report(folder, report, only_missing=False), cached=False)
+
+
+def check_device(config: Experiment, scheduler: str = "local") -> None:
+    """Refuse a variant for which this machine has no GPU, before anything is written.
+
+    A Dask cluster's workers have GPUs of their own: whether they do shows there.
+
+    Raises
+    ------
+    EnvironmentProblem
+        `variant = "cuda"`, and no NVIDIA GPU that Dr.Jit can use.
+    """
+    plain = config.plain()
+    places = {"variant": plain, "sampling.variant": plain.get("sampling", {})}
+    asked = [key for key, table in places.items() if table.get("variant") == "cuda"]
+    if not asked or scheduler.startswith("tcp:"):
+        return
+    from livlab.model.transport.device import device
+
+    try:
+        device("cuda")
+    except EnvironmentProblem as error:
+        raise EnvironmentProblem(
+            f"{asked[0]} = 'cuda': this machine has no NVIDIA GPU, or no driver for it.",
+            remedy=f'Set {asked[0]} = "llvm" to run on the processor, or run it where `livlab doctor` names a GPU.',
+        ) from error
 
 
 def is_complete(folder: Path, identity: str = "") -> bool:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from livlab.errors import InputError
+from livlab.files import missing_folder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -190,8 +191,9 @@ def convert(
 def _writable(path: Path, suffixes: tuple[str, ...]) -> None:
     if path.suffix.lower() not in suffixes:
         raise InputError.of("output", path.name, f"must end in one of {', '.join(suffixes)}", "Choose by suffix.")
-    if not path.resolve().parent.is_dir():
-        raise InputError.of("output", str(path), "lies in no folder that there is", "Make the folder first.")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise InputError.of("output", str(path), "lies in no folder that there is", missing_folder(folder))
 
 
 def _loss(name: str) -> LossName:

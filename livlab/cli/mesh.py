@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from livlab.errors import InputError
+from livlab.files import missing_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -86,7 +87,7 @@ def _targets(file: str, out: Path | None, form: str, force: bool) -> tuple[Path,
     if stem.suffix.lower()[1:] in _FORMATS:
         stem, suffix = stem.with_suffix(""), stem.suffix.lower()
     if not stem.parent.is_dir():
-        raise InputError.of("out", str(out), f"has no folder {stem.parent}", "Make the folder first.")
+        raise InputError.of("out", str(out), f"has no folder {stem.parent}", missing_folder(stem.parent))
     found = tuple(stem.with_name(f"{stem.name}-{which}{suffix}") for which in ("outer", "inner"))
     for path in found:
         if path.exists() and not force:

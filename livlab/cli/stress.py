@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from livlab.errors import InputError
+from livlab.files import missing_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,7 +46,8 @@ def stress(
 
     chosen = select(only, slow=slow)
     if output is not None and not output.resolve().parent.is_dir():
-        raise InputError.of("output", str(output), "lies in no folder that there is", "Make the folder first.")
+        remedy = missing_folder(output.resolve().parent)
+        raise InputError.of("output", str(output), "lies in no folder that there is", remedy)
     started = time.perf_counter()
     # Into a pipe or file a table must not be folded at 80 characters.
     console = Console(width=None if sys.stdout.isatty() else 180)

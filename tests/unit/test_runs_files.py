@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from livlab import runs_files
+from livlab import files, runs_files
 from livlab.errors import EnvironmentProblem
+from livlab.files import missing_folder
 from livlab.runs_files import csv_text, locked, open_folder, read_csv, write_whole
 
 AS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
@@ -98,3 +99,29 @@ def test_a_table_with_an_unknown_column_is_an_error(tmp_path: Path) -> None:
         csv_text(["a"], [{"a": 1, "b": 2}])
     write_whole(tmp_path / "t.csv", csv_text(["a", "b"], [{"a": 'x,"y"\nz', "b": 1 / 3}]))
     assert read_csv(tmp_path / "t.csv") == [{"a": 'x,"y"\nz', "b": "0.333333333"}]
+
+
+def test_a_missing_folder_is_to_be_made_where_it_can_be_and_only_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = tmp_path / "not yet" / "made"
+    with pytest.raises(EnvironmentProblem) as caught:
+        write_whole(there / "a.txt", "x")
+    assert f"mkdir -p '{there}'" in caught.value.remedy
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("")
+    assert "is a file" in missing_folder(tmp_path / "file" / "deeper")
+
+    def refused(*_args: object, **_options: object) -> None:
+        raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+
+    monkeypatch.setattr(files.tempfile, "mkdtemp", refused)  # as a kernel's own file system answers
+    assert missing_folder(there) == f"Nothing can be written in {tmp_path}: choose another folder."
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="there is no /proc here")
+def test_where_no_folder_can_be_made_none_is_asked_for() -> None:
+    assert missing_folder(Path("/proc/none/at all")) == "Nothing can be written in /proc: choose another folder."
+    with pytest.raises(EnvironmentProblem, match="Cannot write") as caught:
+        write_whole(Path("/proc/livlab.txt"), "x")
+    assert "Make the folder" not in caught.value.remedy
