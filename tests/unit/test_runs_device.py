@@ -1,4 +1,4 @@
-"""A variant that needs a GPU is refused where there is none, before a folder is made; a result that is there is found."""
+"""A variant that needs a GPU is refused where there is none, before a folder is made."""
 
 from __future__ import annotations
 
@@ -52,12 +52,18 @@ def test_without_a_gpu_nothing_is_begun(name: str, key: str, tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("_no_gpu")
 def test_the_processor_and_the_gpus_of_others_are_not_refused() -> None:
+    assert asking("spectral", "variant", "llvm").variant == "llvm"
     check_device(asking("spectral", "variant", "llvm"))
-    check_device(asking("sensitivity-liver", "variant"), "tcp://cluster:8786")
+    study = asking("sensitivity-liver", "variant")
+    with pytest.raises(EnvironmentProblem):
+        check_device(study, "processes:2")
+    check_device(study, "tcp://cluster:8786")
 
 
 def test_where_there_is_a_gpu_it_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     import drjit
 
-    monkeypatch.setattr(drjit, "has_backend", lambda _kind: True)
+    asked = []
+    monkeypatch.setattr(drjit, "has_backend", lambda kind: asked.append(kind) is None)
     check_device(asking("spectral", "variant"))
+    assert asked == [drjit.JitBackend.CUDA]
