@@ -258,7 +258,9 @@ def _ask_units(draft: Draft, before: DatasetMeta | None, yes: bool) -> Draft:
     for column, unit in draft.units.items():
         if unit is None:
             default = before.columns[column].unit if before and column in before.columns else None
-            asked[column] = _ask("unit", None, default, yes, require_unit, of=f" of {column} (1 for a ratio)")
+            asked[column] = _ask(
+                "unit", None, default, yes, require_unit, of=f" of {column} (1 for a ratio, % for percent)"
+            )
     return draft.with_units(asked) if asked else draft
 
 
@@ -269,7 +271,9 @@ def _ask(
         return parse(given)
     if yes:
         if default is None:
-            raise InputError.of(option, None, f"is missing{of}", f"Give it: --{option} (--yes asks nothing).")
+            raise InputError(
+                f"{option}{of} is not known.", remedy=f"Give it: --{option} …, or leave --yes out to be asked."
+            )
         return parse(default)
     while True:
         answer = typer.prompt(f"{option}{of}", default=default)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.datasets.heading import UNIT_IN_NAME
 from livlab.datasets.meta import COLUMN_PATTERN, WAVELENGTH
 from livlab.datasets.quantity import parse_unit, require_unit
 from livlab.datasets.reader import RawTable, read_csv, shown
@@ -20,9 +21,22 @@ SHORTEST_NM, LONGEST_NM = 100.0, 30_000.0
 # No wavelength of light that livlab deals in is this short, so such numbers are micrometres.
 _SURELY_UM = 31.0
 _WAVELENGTH_HEADING = re.compile(r"(wave_?length|lambda|wl|wellenl|longueur_d|nm$|um$|comprimento_de_onda)")
-_NOT_NEGATIVE = re.compile(r"(absorption|scattering|extinction|refle[ck]t|transmi|attenuation|absorban|_sd$|_share)")
-_RATIO = re.compile(r"(refle[ck]tan|transmittan|fraction|albedo)")
+_NOT_NEGATIVE = re.compile(
+    r"(absorption|scattering|extinction|refle(ct|kt|x)|transmi|attenuation|absorban|_sd$|_share)"
+)
+_RATIO = re.compile(r"(refle[ck]tan|reflexion|transmittan|fraction|albedo)")
 _NM_PER = {"nm": 1.0, "um": 1e3}
+_TO_NM = {
+    "1/cm": "nm = 1e7 / wavenumber in 1/cm",
+    "a": "nm = ångström / 10",
+    "ev": "nm = 1239.84 / photon energy in eV",
+    "thz": "nm = 299792.458 / frequency in THz",
+}
+_OTHER_AXES = {
+    "1/cm": re.compile(r"(wave_?number|wellenzahl|nombre_d_onde|raman_shift)"),
+    "ev": re.compile(r"(photon_)?energy"),
+    "thz": re.compile(r"frequency"),
+}
 
 
 @dataclass(frozen=True)
@@ -68,6 +82,7 @@ def read_draft(
     wavelength_unit: str | None = None,
     sort: bool = False,
     wavelength: bool = True,
+    nameless: bool = False,
 ) -> Draft:
     """Read and validate a user's CSV.
 
@@ -83,9 +98,11 @@ def read_draft(
     wavelength_unit
         ``nm`` or ``um``; what the heading says, else nm, if absent.
     sort
-        Sort rows that are not in rising order of wavelength, instead of refusing them.
+        Sort rows that are in no order of wavelength, instead of refusing them; falling ones are reversed unasked.
     wavelength
         False for a table of parameters, without a wavelength axis.
+    nameless
+        Take a file without headings: its columns are ``column_2``, ``column_3``, and so on.
 
     Raises
     ------
@@ -99,9 +116,11 @@ def read_draft(
     notes = list(raw.understood)
     values = np.array(raw.rows, dtype=np.float64)
     axis = _axis(raw, notes) if wavelength else None
-    order = [i for i in range(raw.width) if i != axis]
+    order = [i for i in range(raw.width) if i != axis and not _counts_rows(raw, i, values, notes)]
     if not order:
         raise InputError.of("file", shown(path), "has no column beside the wavelength", "Add a column of values.")
+    if nameless and raw.headings is None and not columns:
+        columns = [f"column_{i + 1}" for i in order]
     names, units = _names(raw, order, columns, unit)
     lines = np.array(raw.lines)
     table: dict[str, FloatArray] = {}
@@ -109,9 +128,10 @@ def read_draft(
         factor = _NM_PER[_wavelength_unit(raw, axis, wavelength_unit, notes)]
         # Rounded: 0.5005 um is 500.5 nm, not 500.49999999999994.
         nm = np.round(values[:, axis] * factor, 9)
-        rising = _check_wavelengths(path, values[:, axis], nm, lines, sort=sort, converted=factor != 1.0)
+        falling = bool(len(nm) > 1 and (np.diff(nm) < 0).all())  # as many instruments write them: nothing to ask
+        rising = _check_wavelengths(path, values[:, axis], nm, lines, sort=sort or falling, converted=factor != 1.0)
         if not np.array_equal(rising, np.arange(len(nm))):
-            notes.append("rows sorted by wavelength")
+            notes.append("wavelengths fall: rows reversed" if falling else "rows sorted by wavelength")
         values, lines = values[rising], lines[rising]
         table[WAVELENGTH] = nm[rising]
         units = {WAVELENGTH: "nm", **units}
@@ -136,13 +156,30 @@ def _axis(raw: RawTable, notes: list[str]) -> int:
     return axis
 
 
+def _counts_rows(raw: RawTable, column: int, values: FloatArray, notes: list[str]) -> bool:
+    """Whether a column without a heading counts the rows, as pandas writes them."""
+    if raw.headings is None or raw.headings[column].strip() or len(values) < 2:
+        return False
+    counted = bool((np.diff(values[:, column]) == 1.0).all() and values[0, column] in (0.0, 1.0))
+    if counted:
+        notes.append(f"column {column + 1} has no heading and counts the rows: left out")
+    return counted
+
+
 def _wavelength_unit(raw: RawTable, axis: int, asked: str | None, notes: list[str]) -> str:
     heading = raw.headings[axis] if raw.headings else ""
     ending = heading.lower().replace("µ", "u").replace("μ", "u")
     said = raw.units[axis] or ("um" if re.search(r"(^|[_/ .])(um|micron(s)?)$", ending) else None)
+    if said is None:
+        bracket = UNIT_IN_NAME.match(ending)
+        written = bracket.group(2).replace("å", "a").removesuffix("ngstrom").removesuffix("ngström") if bracket else ""
+        other = next((unit for unit, pattern in _OTHER_AXES.items() if pattern.match(_slug(heading))), None)
+        said = written if written in _TO_NM else other
     unit = parse_unit(asked) if asked is not None else said or "nm"
     if unit not in _NM_PER:
-        raise InputError.of("wavelength unit", asked or unit, "must be nm or um", "Give --wavelength-unit nm or um.")
+        mend = f"Convert the column: {_TO_NM[unit]}." if unit in _TO_NM else "Give --wavelength-unit nm or um."
+        where = "wavelength unit" if asked is not None else f"{raw.source.name}: column {heading}, wavelength unit"
+        raise InputError.of(where, asked or unit, "must be nm or um", mend)
     notes.append(f"wavelengths in {unit}" + (", converted to nm" if unit == "um" else ""))
     return unit
 
@@ -158,7 +195,7 @@ def _check_wavelengths(
             f"{path.name}: wavelengths",
             f"{written.min():g} to {written.max():g}",
             "look like micrometres, livlab takes nm",
-            "If they are, add --wavelength-unit um.",
+            'If they are, add --wavelength-unit um (in Python: wavelength_unit="um").',
         )
     wrong = ~((nm >= SHORTEST_NM) & (nm <= LONGEST_NM))
     if wrong.any():
@@ -185,7 +222,7 @@ def _check_wavelengths(
             f"{path.name}: line {lines[row]}, wavelength",
             float(written[row]),
             f"comes after {written[row - 1]:g}: wavelengths must rise",
-            "Sort the file, or add --sort.",
+            "Sort the file, or add --sort (in Python: sort=True).",
         )
     return order
 
@@ -206,7 +243,7 @@ def _check_values(path: Path, name: str, unit: str | None, values: FloatArray, l
             f"{path.name}: column {name}",
             float(values.max()),
             "is above 1 for a ratio; it looks like percent",
-            f"Give the unit: --column {name}:%",
+            f'Give the unit: --column {name}:% (in Python: unit="%").',
         )
 
 
@@ -232,7 +269,7 @@ def _names(
             "heading",
             None,
             f"is missing: {len(order)} column(s) beside the wavelength have no name",
-            "Name them: --column NAME:UNIT, once per column.",
+            'Name them: --column NAME:UNIT, once per column (in Python: columns=["reflectance:1"]).',
         )
     for name, own in named:
         if not re.fullmatch(COLUMN_PATTERN, name) or name == WAVELENGTH:

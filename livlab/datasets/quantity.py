@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 
 from livlab.errors import InputError
 
@@ -61,6 +62,26 @@ _SPELLINGS = {
     "radian": "rad",
     "mm/l": "mmol/L",
 }
+_ABSORBANCE = re.compile(r"(^|_)(abs|absorban[a-z]*|od|optical_density|extinktion|log_1_r|log1_r)(_|$)")
+_SPREAD = re.compile(r"(^|_)(sd|std|stdev|stddev|stabw|standard_deviation|se|sem|standard_error|err|error)(_|$)")
+
+
+def is_absorbance(column: str) -> bool:
+    """Whether a column's name says that it holds an absorbance, which no reflectance is to be compared with.
+
+    >>> is_absorbance("od"), is_absorbance("absorbance_mean"), is_absorbance("absorption_per_cm")
+    (True, True, False)
+    """
+    return _ABSORBANCE.search(column) is not None
+
+
+def is_spread(column: str) -> bool:
+    """Whether a column's name says that it holds the spread of another.
+
+    >>> is_spread("r_std"), is_spread("sd"), is_spread("used")
+    (True, True, False)
+    """
+    return _SPREAD.search(column) is not None
 
 
 def known_units() -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from livlab.datasets.quantity import parse_unit
+from livlab.datasets.heading import Line, find_table, number_led
 from livlab.errors import EnvironmentProblem, InputError
 
 MAX_BYTES = 8 * 1024 * 1024
@@ -24,10 +24,12 @@ MAX_ROWS = 100_000
 MAX_COLUMNS = 64
 _MAX_HEADING = 200
 _MAX_NUMBER = 100
+_EMPTY = ' \t\f\v,;|"'
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|n/?a|null|none|#n/a|#value!|#div/0!)", re.IGNORECASE)
-_UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]*(?:\([^()]*\))?)\s*[\])]\s*$")
+_EXCEL_SEPARATOR = re.compile(r"sep=.\s*", re.IGNORECASE)
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8-sig", "UTF-8 with BOM"),
     (codecs.BOM_UTF16_LE, "utf-16", "UTF-16"),
@@ -92,9 +94,6 @@ class RawTable:
         return len(self.rows[0])
 
 
-_Line = tuple[int, list[str]]
-
-
 def read_csv(path: Path) -> RawTable:
     """Read a numeric table from a text file of any usual form.
 
@@ -108,19 +107,24 @@ def read_csv(path: Path) -> RawTable:
     text, notes = _text(path)
     words, lines, decimal = _split(path, text)
     notes.append(words)
-    headings, units, body = _heading(path, lines, decimal)
+    found = find_table(
+        lines, lambda cell: _value(cell, decimal) is not None, lambda cell: _NOT_FINITE.fullmatch(cell) is not None
+    )
+    notes += found.told()
+    if not found.rows:
+        raise InputError.of("file", shown(path), "has a heading and no rows", "Give at least two rows of numbers.")
+    headings, units, body = _trimmed(path, found.heading, found.units, found.rows)
     notes.append(
         f"no heading, {len(body[0][1])} columns"
-        if headings is None
-        else f"heading in line {lines[0][0]}: {', '.join(headings)}"
+        if headings is None or found.heading is None
+        else f"heading in line {found.heading[0]}: {', '.join(headings)}"
     )
     width = len(headings or body[0][1])
+    _refuse_thousands(path, words, body)
     body_lines, body_rows = [], []
     for number, cells in body:
         if len(cells) != width:
-            raise _bad(
-                path, number, f"has {len(cells)} cells, {'the heading' if headings else 'the first row'} {width}"
-            )
+            raise _bad(path, number, len(cells), width, "the heading" if headings else "the first row", words)
         body_lines.append(number)
         body_rows.append(
             tuple(
@@ -201,10 +205,14 @@ def _printable(path: Path, text: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _split(path: Path, text: str) -> tuple[str, list[_Line], str]:
+def _split(path: Path, text: str) -> tuple[str, list[Line], str]:
     kept = [
-        (i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip() and line.lstrip()[0] not in "#%"
+        (i, line)
+        for i, line in enumerate(text.split("\n"), start=1)
+        if line.strip(_EMPTY) and line.lstrip()[0] not in "#%"
     ]
+    if kept and _EXCEL_SEPARATOR.fullmatch(kept[0][1].strip('"')):  # which Excel writes for itself
+        kept = kept[1:]
     if not kept:
         raise InputError.of(
             "file", shown(path), "has no table, only comments", "Give a CSV with wavelengths and values."
@@ -216,8 +224,10 @@ def _split(path: Path, text: str) -> tuple[str, list[_Line], str]:
             f"has {len(kept)} rows, more than the {MAX_ROWS} that a spectrum may have",
             _TOO_MUCH_REMEDY,
         )
-    # The dialect is judged on a sample, so that a long file costs one pass, not eight.
+    # The dialect is judged on a sample, so that a long file costs one pass, not eight; and on rows of numbers, where
+    # there are any, since what an instrument writes before them has commas and colons of its own.
     sample = [*kept[:200], *kept[-50:]]
+    sample = [(i, line) for i, line in sample if number_led(line)] or sample
     best, best_score = None, (0.0, 0)
     for dialect in _DIALECTS:
         split = _cells(sample, dialect[0])
@@ -244,12 +254,10 @@ def _split(path: Path, text: str) -> tuple[str, list[_Line], str]:
             f"has more than {MAX_COLUMNS} columns",
             "Keep the columns that you need, and add that file.",
         )
-    while all(len(cells) > 2 and not cells[-1] for _, cells in lines):
-        lines = [(number, cells[:-1]) for number, cells in lines]
     return best[2], lines, best[1]
 
 
-def _cells(lines: list[tuple[int, str]], delimiter: str | None) -> list[_Line]:
+def _cells(lines: list[tuple[int, str]], delimiter: str | None) -> list[Line]:
     if delimiter is None:
         return [(number, line.split()) for number, line in lines]
     split = []
@@ -273,28 +281,43 @@ def _value(cell: str, decimal: str) -> float | None:
     return float(cell) if _NUMBER.fullmatch(cell) else None
 
 
-def _heading(
-    path: Path, lines: list[_Line], decimal: str
-) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], list[_Line]]:
-    first = lines[0][1]
-    if _value(first[0], decimal) is not None or _NOT_FINITE.fullmatch(first[0]):
-        return None, (None,) * len(first), lines
-    if len(lines) == 1:
-        raise InputError.of("file", shown(path), "has a heading and no rows", "Give at least two rows of numbers.")
-    headings, units = [], []
-    for cell in first:
+def _trimmed(
+    path: Path, heading: Line | None, units: tuple[str | None, ...], rows: list[Line]
+) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], list[Line]]:
+    """Headings, units and rows without empty columns at the end, which spreadsheets leave."""
+    every = [*([heading] if heading else []), *rows]
+    empty = 0
+    while all(len(cells) > 2 + empty and not cells[-1 - empty] for _, cells in every):
+        empty += 1
+    if empty:
+        rows = [(number, cells[:-empty]) for number, cells in rows]
+    if heading is None:
+        return None, (None,) * len(rows[0][1]), rows
+    names = heading[1][: len(heading[1]) - empty]
+    for cell in names:
         if len(cell) > _MAX_HEADING:
             raise InputError.of(
-                f"{path.name}: line {lines[0][0]}",
+                f"{path.name}: line {heading[0]}",
                 cell,
                 f"is longer than {_MAX_HEADING} characters",
                 "Shorten the heading.",
             )
-        match = _UNIT_IN_NAME.match(cell)
-        unit = parse_unit(match.group(2)) if match and match.group(2) else None
-        headings.append(cell)
-        units.append(unit)
-    return tuple(headings), tuple(units), lines[1:]
+    return tuple(names), units[: len(names)], rows
+
+
+def _refuse_thousands(path: Path, words: str, rows: list[Line]) -> None:
+    """Refuse "2,002" between quotes in a comma-separated file, which may be 2.002 or 2002."""
+    if "quoted cells" not in words:
+        return
+    with_comma = [(number, cell) for number, cells in rows for cell in cells if "," in cell]
+    if with_comma and all(_THOUSANDS.fullmatch(cell) for _, cell in with_comma):
+        number, cell = with_comma[0]
+        raise InputError.of(
+            f"{path.name}: line {number}",
+            cell,
+            "may have a decimal comma or mark thousands",
+            "Write plain numbers: 2.002, or 2002; or separate the columns by semicolon if it is a decimal comma.",
+        )
 
 
 def _number(path: Path, line: int, column: str, cell: str, decimal: str) -> float:
@@ -311,7 +334,8 @@ def _number(path: Path, line: int, column: str, cell: str, decimal: str) -> floa
     raise InputError.of(where, cell, "is not a number", "Correct the cell or remove the row; comments start with #.")
 
 
-def _bad(path: Path, line: int, why: str) -> InputError:
-    return InputError(
-        f"{path.name}: line {line} {why}.", remedy="Give every row the same number of cells, one heading line at most."
-    )
+def _bad(path: Path, line: int, cells: int, width: int, than: str, words: str) -> InputError:
+    mend = "Give every row the same number of cells, one heading line at most."
+    if words.startswith("comma") and cells > width:
+        mend = "If the numbers have decimal commas, separate the columns by semicolon or tab."
+    return InputError(f"{path.name}: line {line} has {cells} cells, {than} {width}.", remedy=mend)

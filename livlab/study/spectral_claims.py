@@ -12,6 +12,7 @@ from livlab import datasets
 from livlab.acquire.curves import Curve, interpolate, moving_average, normalise, regular_grid
 from livlab.config_spectral import CriterionSpec, Processing, Reference, SpectralExperiment
 from livlab.criteria import Claim
+from livlab.datasets.quantity import is_absorbance
 from livlab.errors import InputError, RangeError
 from livlab.metrics import amplitude_ratio, bootstrap_interval, mse, pearson, rmse
 from livlab.metrics import normalise as normalised
@@ -33,17 +34,22 @@ class Known:
     reason: str = ""
 
     def at(self, wavelength_nm: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Mean and SD over subjects at wavelengths in nm; nan outside the dataset's range."""
+        """Mean and SD over subjects at wavelengths in nm, percent as a ratio; nan outside the dataset's range."""
         assert self.dataset is not None
         low, high = self.dataset.range_nm
         inside = (wavelength_nm >= low) & (wavelength_nm <= high)
         mean = np.full(len(wavelength_nm), np.nan)
-        mean[inside] = self.dataset.interpolate(self.spec.column, wavelength_nm[inside])
+        mean[inside] = self._read(self.spec.column, wavelength_nm[inside])
         if self.spec.sd_column is None:
             return mean, None
         sd = np.full(len(wavelength_nm), np.nan)
-        sd[inside] = self.dataset.interpolate(self.spec.sd_column, wavelength_nm[inside])
+        sd[inside] = self._read(self.spec.sd_column, wavelength_nm[inside])
         return mean, sd
+
+    def _read(self, column: str, wavelength_nm: FloatArray) -> FloatArray:
+        assert self.dataset is not None
+        ratio = "1" if self.dataset.unit(column) == "%" else None
+        return self.dataset.interpolate(column, wavelength_nm, unit=ratio)
 
 
 def load_reference(spec: Reference) -> Known:
@@ -54,6 +60,8 @@ def load_reference(spec: Reference) -> Known:
     DatasetError
         An unknown or damaged dataset, or a column it does not have. A published curve that nobody has as numbers
         is no error: its claims are MISSING.
+    InputError
+        A column that holds an absorbance.
     """
     try:
         table = datasets.load(spec.dataset)
@@ -62,6 +70,12 @@ def load_reference(spec: Reference) -> Known:
     for column in (spec.column, spec.sd_column):
         if column is not None:
             table.column(column)
+    if is_absorbance(spec.column):
+        raise InputError.of(
+            f"reference {spec.label}.column", spec.column, "is an absorbance, and reflectance is compared",
+            "Convert it, R = 10^(-A) if A = -log10 R, and add the dataset again: livlab data add … "
+            f"--name {spec.dataset} --replace. If it is a reflectance, name the column so.",
+        )  # fmt: skip
     return Known(spec, table)
 
 
