@@ -25,6 +25,7 @@ from livlab import __version__
 from livlab.config import KINDS, Experiment, to_toml
 from livlab.errors import EnvironmentProblem, Interrupted
 from livlab.files import readable
+from livlab.origin import code, processor
 from livlab.runs_compare import timeless_hashes
 from livlab.runs_files import locked, open_folder, plain_file, read_csv, sha256, write_whole
 from livlab.runs_work import Progress, Run, Silent
@@ -314,6 +315,8 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
+        "processor": processor(),
+        "code": code(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "libllvm": None,

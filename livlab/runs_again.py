@@ -19,7 +19,10 @@ from livlab.runs_work import Progress
 LARGEST_BYTES = 64 << 20
 """A manifest has some kilobytes; a larger file is none."""
 
-NAMED = ("livlab", "result_version", "python", "platform", "machine", "cores", "libllvm", "variant", "gpu", "solvers")
+NAMED = (
+    "livlab", "code", "result_version", "python", "platform", "machine", "processor", "cores", "libllvm", "variant",
+    "gpu", "solvers",
+)  # fmt: skip
 """Entries of a manifest that can make numbers differ, beside packages and datasets."""
 
 

@@ -149,11 +149,14 @@ def test_a_manifest_without_the_experiment_takes_the_config_beside_it(run: Path)
 
 def test_versions_and_machine_that_differ_are_named_though_the_results_agree(run: Path) -> None:
     packages = read_manifest(run)["packages"] | {"numpy": "0.1", "gone": "1.0"}
-    change(run, packages=packages, livlab="0.0.1", platform="Amiga")
+    change(run, packages=packages, livlab="0.0.1", code="0" * 16, platform="Amiga", processor="68000")
     code, said = call("rerun", str(run), "--no-report")
     assert code == 0
+    told = " ".join(said.split())
     for text in ("livlab: 0.0.1 then", "numpy: 0.1 then", "gone: 1.0 then, none now", "platform: Amiga then"):
-        assert text in " ".join(said.split())
+        assert text in told
+    assert f"code: {'0' * 16} then" in told
+    assert "processor: 68000 then" in told
 
 
 def test_a_dataset_of_other_numbers_is_named_and_what_it_moved(run: Path, data: Path) -> None:
