@@ -1,6 +1,6 @@
 # The README's commands, and CI's, are these. Each sets up .venv by itself where that is still to do.
 .DEFAULT_GOAL := help
-.PHONY: fuzz help setup report test test-all check docs bench clean
+.PHONY: help setup report dossier test test-all check wheel docs bench fuzz clean
 
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
@@ -37,6 +37,9 @@ check: setup ## lint, formatting, types, doctests, architecture, the documentati
 	$(PYTEST) -q tests/architecture
 	$(SITE) --quiet
 	bash scripts/smoke_wheel.sh
+
+wheel: setup ## build the wheel and use it in a new environment that has only what it declares (downloads)
+	bash scripts/smoke_wheel.sh --clean
 
 docs: setup ## the documentation as a site: build/site/index.html
 	@$(SITE)
