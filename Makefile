@@ -48,9 +48,11 @@ bench: setup ## time the cases that the tests check
 	$(BIN)/python -m benchmarks
 
 INPUTS ?= 20000
+READERS ?=
 
-fuzz: setup ## search every reader of a user's file for crashes, hangs and bombs (INPUTS=20000)
-	$(BIN)/python -m fuzz --inputs $(INPUTS)
+fuzz: setup ## search every reader of a user's file for crashes, hangs and bombs (INPUTS=20000 READERS="rig ledger")
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[fuzz]'
+	$(BIN)/python -m fuzz --inputs $(INPUTS) $(READERS)
 
 clean: ## remove caches and build products; runs/ and .venv stay
 	rm -rf build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
