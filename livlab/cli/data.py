@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Datasets: list, show, check, plot, add, licences.", no_args_is_help=True)
 
 _T = TypeVar("_T")
+_KINDS_MEAN = " (tabulated: numbers as measured or published; digitised: read off a figure; fit; assumed)"
 Search = Annotated[
     list[Path] | None,
     typer.Option("--search", help="A further folder of datasets (say, beside an experiment). Repeatable."),
@@ -204,8 +205,8 @@ def add(
         known = _known(name, before)
         draft = _ask_units(draft, before, yes)
         title = _ask("title", title, known.get("title", name.replace("_", " ")), yes, _some_text)
-        source = _ask("source", source, known.get("source"), yes, _some_text)
-        kind = _ask("kind", kind, known.get("kind"), yes, lambda text: _one_of(text, KINDS))
+        source = _ask("source", source, known.get("source"), yes, _some_text, of=" (who measured it, where, when)")
+        kind = _ask("kind", kind, known.get("kind"), yes, lambda text: _one_of(text, KINDS), of=_KINDS_MEAN)
         doi = _ask("doi", doi, known.get("doi", ""), yes, str.strip)
         licence = _ask("licence", licence, known.get("licence", "not stated"), yes, _some_text)
         uncertainty = _ask("uncertainty", uncertainty, known.get("uncertainty", "not stated"), yes, _some_text)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from livlab.errors import Interrupted
@@ -59,7 +60,7 @@ def _show(again: Again) -> None:
         table.add_column(column, overflow="fold")
     for file in again.files:
         colour = _COLOURS.get(file.verdict, "green")
-        table.add_row(file.name, f"[{colour}]{file.verdict}[/]", file.detail)
+        table.add_row(escape(file.name), f"[{colour}]{file.verdict}[/]", escape(file.detail))
     console.print(table)
     for difference in again.differences:
         console.print(f"not as it was: {difference}", markup=False, highlight=False)

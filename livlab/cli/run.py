@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 from rich.markup import escape
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -119,23 +120,37 @@ def _show(outcome: Outcome, *, quiet: bool) -> None:
     if not quiet:
         console = Console()
         if outcome.claims:
-            console.print(_table(outcome.claims))
+            _print_claims(console, outcome.claims)
         if outcome.cached:
             console.print("Done before; --force runs it again.", highlight=False)
     typer.echo(outcome.report or outcome.folder)
 
 
-def _table(claims: list[dict[str, str]]) -> Table:
-    from livlab.criteria import format_value
-
+def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:
+    """The claims as a table, or as two lines each where the terminal is too narrow for one."""
+    rows = [_cells(claim) for claim in claims]
     table = Table(title=None, header_style="bold")
     for column, justify in (("criterion", "left"), ("value ± error", "right"), ("reference", "right"), ("", "left")):
-        table.add_column(column, justify="right" if justify == "right" else "left", overflow="fold")
-    for claim in claims:
-        value = float(claim["value"]) if claim["value"] else None
-        error = float(claim["standard_error"]) if claim["standard_error"] else None
-        shown = format_value(value, error) + (f" ± {format_value(error, error)}" if error else "")
-        wanted = f"{claim['reference']} ± {claim['tolerance']}" if claim["reference"] else "–"
-        verdict = claim["verdict"]
-        table.add_row(*map(escape, (claim["criterion"], shown, wanted)), Text(verdict, style=_COLOURS.get(verdict, "")))
-    return table
+        table.add_column(column, justify="right" if justify == "right" else "left", overflow="fold", no_wrap=True)
+    for criterion, shown, wanted, verdict in rows:
+        table.add_row(*map(escape, (criterion, shown, wanted)), Text(verdict, style=_COLOURS.get(verdict, "")))
+    if console.measure(table, options=console.options.update(max_width=10_000)).maximum <= console.width:
+        console.print(table)
+        return
+    margin = max(len(verdict) for *_, verdict in rows) + 2
+    for criterion, shown, wanted, verdict in rows:
+        line = Text(verdict.ljust(margin), style=_COLOURS.get(verdict, ""))
+        line.append(criterion, style="default")
+        for text in (line, Text(f"{shown}  (wanted {wanted})")):
+            console.print(Padding(text, (0, 0, 0, 0 if text is line else margin), expand=False), highlight=False)
+
+
+def _cells(claim: dict[str, str]) -> tuple[str, str, str, str]:
+    """Criterion, value with its error, what is wanted, verdict."""
+    from livlab.criteria import format_value
+
+    value = float(claim["value"]) if claim["value"] else None
+    error = float(claim["standard_error"]) if claim["standard_error"] else None
+    shown = format_value(value, error) + (f" ± {format_value(error, error)}" if error else "")
+    wanted = f"{claim['reference']} ± {claim['tolerance']}" if claim["reference"] else "–"
+    return claim["criterion"], shown, wanted, claim["verdict"]

@@ -67,6 +67,23 @@ def call(*words: str) -> tuple[int, str, BaseException | None]:
     return result.exit_code, result.output, result.exception
 
 
+def test_claims_are_readable_in_a_narrow_terminal(ran: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, _ = ran
+    monkeypatch.setenv("NO_COLOR", "1")
+    with contextlib.chdir(folder):
+        monkeypatch.setenv("COLUMNS", "200")
+        wide = call("run", "small.toml")[1]
+        monkeypatch.setenv("COLUMNS", "60")
+        narrow = call("run", "small.toml")[1].splitlines()
+    criterion = "rmse thesis vs human liver 500-700"
+    (row,) = [line for line in wide.splitlines() if criterion in line]
+    _, _, value, wanted, verdict, _ = (cell.strip() for cell in row.split("│"))
+    k = next(k for k, line in enumerate(narrow) if criterion in line)
+    assert narrow[k] == f"{verdict}  {criterion}"
+    assert narrow[k + 1] == f"      {value}  (wanted {wanted})"
+    assert max(map(len, narrow[:-1])) <= 60
+
+
 def test_a_run_prints_its_claims_and_ends_with_the_reports_path(ran: tuple[Path, str]) -> None:
     folder, out = ran
     lines = out.strip().splitlines()
