@@ -33,7 +33,7 @@ from livlab.runs_work import Progress, Run, Silent
 LARGEST_MANIFEST = 1 << 26
 """Bytes; a study of many jobs writes some MiB."""
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 """Raised whenever the same experiment would give other numbers than before; it is part of the digest."""
 
 _PACKAGES = ("numpy", "scipy", "xarray", "pandas", "pydantic", "miepython", "numba", "drjit", "mitsuba")
