@@ -18,7 +18,17 @@ from livlab.acquire.forward import LedgerForward
 from livlab.acquire.instruments import Instrument
 from livlab.errors import InputError
 from livlab.model.tissue import chromophores
-from livlab.model.tissue.elements import Blood, Cell, Mixture, Pigment, PowerLawScatterer, PublishedScatterer
+from livlab.model.tissue.elements import (
+    Blood,
+    Cell,
+    LawAbsorber,
+    Mixture,
+    Pigment,
+    PowerLawScatterer,
+    PublishedScatterer,
+    Solute,
+)  # fmt: skip
+from livlab.model.tissue.interactions import interaction
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.setting import Setting
@@ -97,12 +107,13 @@ def bench_data(
     return {
         "version": 1,
         "title": f"{tissue.name}, {reading.name}",
+        "layer": layer.name,
         "wavelength_nm": _numbers(grid),
         "endless": free,
         "sliders": sliders,
         "parts": parts,
         "scattering_per_mm": _numbers(reduced),
-        "law": _law(endless, reading) if free else None,
+        "law": _law(endless, tissue) if free else None,
         "table": table,
         "references": [dict(r) for r in references],
         "colour": _colour(grid),
@@ -194,6 +205,19 @@ def _parts(tissue: Tissue, reading: Reading, grid: FloatArray) -> tuple[list[dic
             parts.append({"kind": "pigment", "path": path, "spectrum": _numbers(spectrum)})
             sliders.append(_slider(f"{path}.fraction", f"{word} fraction", "", 0.0, 0.1, element.fraction))
             known += element.fraction * spectrum
+        elif isinstance(element, LawAbsorber):
+            # A law's spectrum is what it absorbs, over its fraction, so that it moves as a table's does.
+            unit = interaction(name, element.with_share(1.0), setting).rate
+            parts.append({"kind": "pigment", "path": path, "spectrum": _numbers(unit)})
+            most = min(1.0, max(0.1, 2.0 * element.fraction))
+            sliders.append(_slider(f"{path}.fraction", f"{word} fraction", "", 0.0, most, element.fraction))
+            known += element.fraction * unit
+        elif isinstance(element, Solute):
+            key, now = "concentration_umol_per_l", element.concentration_umol_per_l
+            unit = interaction(name, element.model_copy(update={key: 1.0}), setting).rate
+            parts.append({"kind": "pigment", "path": path, "key": key, "spectrum": _numbers(unit)})
+            sliders.append(_slider(f"{path}.{key}", word, "µmol/L", 0.0, 3.0 * now if now > 0 else 100.0, now))
+            known += now * unit
         elif isinstance(element, Mixture):
             spectra = {n: p.spectrum.per_mm(grid, setting.note) for n, p in element.parts.items()}
             rest = [n for n, p in element.parts.items() if p.share is None]
@@ -236,26 +260,26 @@ def _scattering(tissue: Tissue, at: str) -> list[dict[str, Any]]:
     return made
 
 
-def _law(tissue: Tissue, reading: Reading) -> dict[str, Any] | None:
-    """How the scattering sliders are written as values of the tissue: a power law at 500 nm, or cells' fraction."""
-    layer = tissue.layers[-1]
+def _law(tissue: Tissue, whole: Tissue) -> dict[str, Any] | None:
+    """How the scattering sliders are written as values of the tissue: a power law at 500 nm, or cells' fraction.
+
+    A scatterer that stands in for another keeps doing so: in the `whole` tissue, before a reading chose, it says for
+    which.
+    """
+    layer, asked = tissue.layers[-1], whole.layers[-1]
     for name, element in layer.elements.items():
         path = f"layers.{layer.name}.elements.{name}"
         if isinstance(element, PowerLawScatterer) and element.b is not None:
             at_500 = element.a_per_cm * (500.0 / element.reference_nm) ** -element.b
             return {"kind": "power", "path": path, "a_per_cm": at_500, "b": element.b, "anisotropy": element.anisotropy,
-                    "replaces": _replaces(reading)}  # fmt: skip
+                    "replaces": getattr(asked.elements[name], "replaces", "")}  # fmt: skip
         if isinstance(element, PublishedScatterer) and element.form == "power":
             a, b = published_power(element)
             return {"kind": "power", "path": path, "a_per_cm": a, "b": b, "anisotropy": element.anisotropy,
-                    "replaces": _replaces(reading)}  # fmt: skip
+                    "replaces": getattr(asked.elements[name], "replaces", "")}  # fmt: skip
         if isinstance(element, Cell):
             return {"kind": "cell", "path": f"{path}.fraction", "fraction": element.fraction}
     return None
-
-
-def _replaces(reading: Reading) -> str:
-    return "hepatocyte" if reading.parenchyma_scattering == "published" else ""
 
 
 def published_power(element: PublishedScatterer) -> tuple[float, float]:
@@ -281,7 +305,7 @@ def _extremes(
             low += f["low"] * np.min([chromophores.blood(1.0, e, um_to_mm(r["high"])) for e in ends], axis=0)
             high += f["high"] * np.max([chromophores.blood(1.0, e, um_to_mm(r["low"])) for e in ends], axis=0)
         elif part["kind"] == "pigment":
-            f, spectrum = by_path[f"{path}.fraction"], np.asarray(part["spectrum"])
+            f, spectrum = by_path[f"{path}.{part.get('key', 'fraction')}"], np.asarray(part["spectrum"])
             low, high = low + f["low"] * spectrum, high + f["high"] * spectrum
         elif part["kind"] == "mixture":
             f, spectra = by_path[f"{path}.fraction"], np.asarray(part["spectra"])

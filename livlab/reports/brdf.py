@@ -21,7 +21,8 @@ def brdf_sections(run: RunData, pictures: Pictures) -> list[Section]:
     """The sections of a BRDF run between its claims and its provenance."""
     if run.config.get("tissue") is None:
         return [_spheres(run), _samples(run, pictures), _lobes(run, pictures), _fits(run)]
-    from livlab.reports.page import readings_section, tissue_section
+    from livlab.reports.page import tissue_section
+    from livlab.reports.readings import readings_section
 
     return [
         _spheres(run),

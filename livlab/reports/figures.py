@@ -131,12 +131,15 @@ class Pictures:
 
 
 def curves(result: xr.Dataset) -> Figure:
-    """Processed curves of the readings (±2 SE) against the references (±1 SD), residuals beneath."""
+    """Processed curves of the readings (±2 SE) against the references (±1 SD), residuals beneath if there are any."""
+    references = [str(r) for r in result["reference_name"].values] if "reference_name" in result else []
     with style():
-        figure = Figure(figsize=(7.4, 5.6))
-        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.25])
+        figure = Figure(figsize=(7.4, 5.6 if references else 4.0))
+        if references:
+            top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.25])
+        else:
+            top = bottom = figure.subplots()
         x = result["wavelength_curve"].to_numpy()
-        references = [str(r) for r in result["reference_name"].values] if "reference_name" in result else []
         for k, name in enumerate(references):
             y = result["reference"].isel(reference_name=k).to_numpy()
             sd = result["reference_sd"].isel(reference_name=k).to_numpy()
@@ -156,8 +159,9 @@ def curves(result: xr.Dataset) -> Figure:
         top.set_ylim(bottom=min(0.0, top.get_ylim()[0]))
         # Above the axes: no corner of this plot is free of curves for every tissue.
         top.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-        bottom.axhline(0, color=INK, lw=1)
-        bottom.set_ylabel("model − reference" if references else "no reference")
+        if references:
+            bottom.axhline(0, color=INK, lw=1)
+            bottom.set_ylabel("model − reference")
         bottom.set_xlabel("wavelength [nm]")
         return figure
 
@@ -183,7 +187,7 @@ def absolute(result: xr.Dataset) -> Figure:
             )
         ax.set_ylim(bottom=0)
         ax.set_xlabel("wavelength [nm]")
-        ax.set_ylabel(str(result["reflectance"].attrs.get("long_name", "reflectance")))
+        ax.set_ylabel(str(result["reflectance"].attrs.get("long_name", "reflectance")).replace(" (", "\n("))
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
         return figure
 

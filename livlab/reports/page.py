@@ -19,6 +19,7 @@ from livlab.reports import cost, figures
 from livlab.reports.bench import bench_section
 from livlab.reports.effects import simulated
 from livlab.reports.folder import RunData, read_run, sound
+from livlab.reports.readings import readings_section
 from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
     Claims,
@@ -194,8 +195,13 @@ def _curves(run: RunData, pictures: figures.Pictures) -> Section:
             pictures.add(
                 "curves",
                 figures.curves(run.result),
-                "Each reading's curve as the virtual instrument saw it, against the reference. Bands: ±2 standard "
-                "errors of the simulation; grey: ±1 SD of the reference over its subjects. Beneath: what is left."
+                "Each reading's curve as the virtual instrument saw it"
+                + (
+                    ", against the reference. Bands: ±2 standard errors of the simulation; grey: ±1 SD of the "
+                    "reference over its subjects. Beneath: what is left."
+                    if "reference_name" in run.result
+                    else "; this run has no reference. Bands: ±2 standard errors of the simulation."
+                )
                 + (f" Processing: {smoothing}." if smoothing else ""),
             )
         )
@@ -280,33 +286,6 @@ def tissue_section(run: RunData) -> Section:
                 merge_readings(table),
                 "Layers from the lit side down, their elements and parameters, and where each is from.",
                 only=["layer", "element", "parameter", "value", "unit", "reading", "source"],
-            )
-        )
-    return section
-
-
-def readings_section(run: RunData) -> Section:
-    """Every place where the readings differ."""
-    section = Section("readings", "The readings, side by side")
-    table = run.table("readings")
-    if len(table):
-        section.content.append(
-            Text(
-                "The thesis contradicts itself or physics in places. A reading is a named choice at each of them; "
-                "rows where the readings differ are shaded."
-            )
-        )
-        words = ["text", "trouble"]
-        names = [c for c in table.columns if c not in {"row", "option", "choices", "differs", *words}]
-        if "row" in table:
-            table = table.assign(row=[number(r) if pd.notna(r) else "–" for r in table["row"]])
-        section.content.append(
-            from_frame(
-                table,
-                "One row a place where the text cannot be taken at its word; rows without a number are livlab's own.",
-                only=["row", "option", *names, *words],
-                titles={"text": "what the text says"},
-                marked="differs",
             )
         )
     return section

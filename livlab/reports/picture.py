@@ -11,14 +11,15 @@ import pandas as pd
 from livlab.reports import picture_figures as drawn
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData, beneath
-from livlab.reports.picture_words import alt_text, caption, findings, light_words, own_name
+from livlab.reports.picture_words import above, alt_text, caption, findings, last_layer, light_words, own_name
 from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
 
 
 def picture_sections(run: RunData, pictures: Pictures) -> list[Section]:
     """The sections of a picture run between its claims and its provenance."""
     from livlab.reports.effects import simulated
-    from livlab.reports.page import readings_section, tissue_section
+    from livlab.reports.page import tissue_section
+    from livlab.reports.readings import readings_section
 
     return [
         _pictures(run),
@@ -163,20 +164,25 @@ def _absorption(run: RunData, pictures: Pictures) -> Section:
             pictures.add(
                 "absorption",
                 drawn.absorption(table, own_name(run)),
-                "Absorption coefficient of the parenchyma, all of its elements together (Nunes 2019, Fig. 7.9). "
-                "Vertical lines: the thesis's red, green and blue.",
+                f"Absorption coefficient of {last_layer(run)}, all of its elements together, as Nunes 2019 draws it "
+                "in Fig. 7.9. Vertical lines: the thesis's red, green and blue.",
             )
         )
     optics = run.table("optics")
     if len(optics):
         several = optics["tissue"].notna().any()
+        kept = optics["kept_by_redirection"].fillna(1.0).lt(1.0).any()
+        if not kept:
+            optics = optics.drop(columns="kept_by_redirection")
         section.content.append(
             from_frame(
                 optics.assign(tissue=drawn.tissues(optics, own_name(run)))
                 if several
                 else optics.drop(columns="tissue"),
-                "What colour comes from: the parenchyma at the channels' middles. The reduced albedo is "
-                "µs'/(µa + µs'); a redirection keeps only the share shown of the light; above it lies the capsule.",
+                f"What colour comes from: {last_layer(run)} at the channels' middles. The reduced albedo is "
+                "µs'/(µa + µs')"
+                + ("; a redirection keeps only the share shown of the light" if kept else "")
+                + (f"; above it lies {above(run)}." if above(run) != "what lies" else "."),
                 titles={
                     "wavelength_nm": "wavelength [nm]",
                     "absorption_per_mm": "µa [1/mm]",

@@ -38,6 +38,20 @@ def own_name(run: RunData) -> str:
     return str(state).replace("_", " ") or "own"
 
 
+def last_layer(run: RunData) -> str:
+    """What colour comes from, by its name: the last layer, if the pictures' tissues agree on it."""
+    table = run.table("absorption")
+    names = sorted(set(table["layer"].dropna().astype(str))) if "layer" in table else []
+    return f"the {names[0]}" if len(names) == 1 else "the last layer"
+
+
+def above(run: RunData) -> str:
+    """What lies above the last layer, by its name if it is one layer."""
+    table = run.table("tissue")
+    names = list(dict.fromkeys(table["layer"].dropna().astype(str))) if "layer" in table else []
+    return f"the {names[0]}" if len(names) == 2 and last_layer(run) == f"the {names[1]}" else "what lies"
+
+
 def lights(run: RunData) -> str:
     """The lights in words: kinds, and levels."""
     told = []
@@ -180,7 +194,7 @@ def _why(run: RunData, optics: pd.DataFrame, reading: str, claims: list[str]) ->
         if len(kept) and float(kept.iloc[0]) < 1:
             text += f", each redirection keeping {100 * float(kept.iloc[0]):.0f} % of the light"
         if "depth_above" in rows and rows["depth_above"].notna().all():
-            above = " / ".join(number(float(v), 2) for v in rows["depth_above"])
-            text += f", the capsule above scatters with a reduced depth of {above}"
+            depth = " / ".join(number(float(v), 2) for v in rows["depth_above"])
+            text += f", {above(run)} above scatters with a reduced depth of {depth}"
         told.append(f"{str(tissue) or own_name(run)}: {text}" if tissue or own_name(run) else text)
-    return " Red / green / blue, parenchyma under this reading: " + "; ".join(told) + "." if told else ""
+    return f" Red / green / blue, {last_layer(run)} under this reading: " + "; ".join(told) + "." if told else ""

@@ -312,7 +312,7 @@ def _write(
         "radii.csv": (RADII, tables["radii"]),
         "costs.csv": (COSTS, costs),
         "tissue.csv": spectral_tables.tissue(tissue, readings),
-        "readings.csv": spectral_tables.readings(readings),
+        "readings.csv": spectral_tables.readings(readings, tissue),
         "provenance.csv": spectral_tables.provenance(tissue, readings, grid, []),
     }.items():
         run.write_table(name, columns, rows)

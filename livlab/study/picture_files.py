@@ -84,7 +84,7 @@ def write_tables(run: Run, work: Work, films: Mapping[Key, Film], pictures: Mapp
         "optics.csv": tables.optics(work.stacks, CHANNEL_CENTRES_NM),
         "convergence.csv": tables.convergence(films),
         "tissue.csv": spectral_tables.tissue(own, readings),
-        "readings.csv": spectral_tables.readings(readings),
+        "readings.csv": spectral_tables.readings(readings, own, *(c.tissue.build() for c in config.compared)),
         "provenance.csv": spectral_tables.provenance(own, readings, work.grid, ()),
         "costs.csv": (tables.COSTS, work.costs),
     }

@@ -271,7 +271,7 @@ def _write(
         "coefficients.csv": tables.coefficients(coefficients),
         "budget.csv": tables.budget(pieces),
         "tissue.csv": tables.tissue(tissue, readings),
-        "readings.csv": tables.readings(readings),
+        "readings.csv": tables.readings(readings, tissue),
         "provenance.csv": tables.provenance(tissue, readings, config.wavelengths.grid(), references),
         "metrics.csv": (tables.METRICS, metrics),
         "costs.csv": (tables.COSTS, costs),

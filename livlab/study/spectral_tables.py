@@ -10,7 +10,7 @@ import xarray as xr
 
 from livlab import datasets
 from livlab.model.tissue.readings import Reading, rows
-from livlab.model.tissue.spectra import Spec, Spectrum, names_of
+from livlab.model.tissue.spectra import FromDatasets, Spec, names_of
 from livlab.model.tissue.table import COLUMNS as TISSUE
 from livlab.model.tissue.table import tissue_table
 from livlab.model.tissue.tissue import Tissue
@@ -121,9 +121,11 @@ def tissue(found: Tissue, under: Iterable[Reading]) -> Made:
     return ("reading", *TISSUE), out
 
 
-def readings(used: Sequence[Reading]) -> Made:
-    """Every row where the thesis cannot be taken at its word, and what each reading chooses."""
+def readings(used: Sequence[Reading], *tissues: Tissue) -> Made:
+    """Every row where the thesis cannot be taken at its word, each reading's choice, and if it bears on a tissue."""
     frame = rows(*used)
+    bearing = {option for tissue in tissues for option in tissue.options()}
+    frame["bears"] = frame["option"].isin(bearing)
     records = frame.astype(object).where(frame.notna(), None).to_dict("records")
     return [str(c) for c in frame.columns], [{str(k): v for k, v in r.items()} for r in records]
 
@@ -159,7 +161,7 @@ def provenance(found: Tissue, under: Iterable[Reading], wavelength_nm: FloatArra
 
 def _used(part: Any, wavelength_nm: FloatArray) -> list[str]:
     """Datasets of an element that these wavelengths draw on: of several, the first that covers each."""
-    if isinstance(part, Spectrum):
+    if isinstance(part, FromDatasets):
         left = np.ones(len(wavelength_nm), dtype=bool)
         names = []
         for name in part.datasets:

@@ -1,7 +1,8 @@
-"""Absorption by chromophores: blood and its packaging, mixtures, pigments, analytic laws (Nunes 2019, 6.12–6.15)."""
+"""Absorption by chromophores: blood and its packaging, mixtures, solutes, analytic laws (Nunes 2019, 6.12–6.15)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -139,6 +140,31 @@ def mixture(fraction: float, shares: Sequence[float], absorptions: Sequence[Floa
         _non_negative("absorption", sigma)
         total = total + s * np.asarray(sigma)
     return fraction * total
+
+
+def solute(concentration_umol_per_l: float, extinction_per_mm_per_mol_per_l: FloatArray) -> FloatArray:
+    """Absorption of a dissolved chromophore in 1/mm: ln(10) ε c (Beer and Lambert, ε to the base 10).
+
+    Parameters
+    ----------
+    concentration_umol_per_l
+        Concentration c in µmol/L.
+    extinction_per_mm_per_mol_per_l
+        Molar extinction ε in 1/(mm M), one entry a wavelength.
+
+    Raises
+    ------
+    InputError
+        A negative or undefined concentration or extinction.
+
+    Examples
+    --------
+    >>> solute(100.0, np.array([5500.0])).round(4)  # 55 000 1/(cm M), bilirubin at 451 nm
+    array([1.2664])
+    """
+    _non_negative("concentration", concentration_umol_per_l)
+    _non_negative("molar extinction", extinction_per_mm_per_mol_per_l)
+    return math.log(10.0) * 1e-6 * concentration_umol_per_l * np.asarray(extinction_per_mm_per_mol_per_l, dtype=float)
 
 
 def power_law(wavelength_nm: FloatArray, scale: float, exponent: float, reference_nm: float) -> FloatArray:

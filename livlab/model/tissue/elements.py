@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from livlab.errors import InputError
-from livlab.model.tissue.spectra import Index, Spec, Spectrum, names_of
+from livlab.model.tissue.spectra import Extinction, Index, Spec, Spectrum, names_of
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Anisotropy = Annotated[float, Field(gt=-1.0, lt=1.0)]
@@ -156,6 +156,20 @@ class Pigment(_Element):
         return self.spectrum.datasets
 
 
+class Solute(_Element):
+    """A chromophore in solution, by its molar extinction: µa = ln(10) ε c (Beer and Lambert); bilirubin for one."""
+
+    kind: Literal["solute"]
+    concentration_umol_per_l: Amount = Field(description="Concentration c in the layer's own volume, in µmol/L.")
+    spectrum: Extinction = Field(description="Its molar extinction ε, to the base 10.")
+
+    units: ClassVar[dict[str, str]] = {"concentration_umol_per_l": "µmol/L"}
+
+    def dataset_names(self) -> tuple[str, ...]:
+        """The extinction's datasets."""
+        return self.spectrum.datasets
+
+
 class LawAbsorber(_Element):
     """An absorber with an analytic spectrum: f (s (λ/λ0)^−p + o), or f (s e^(−(λ−λ0)/d) + o); melanin for one."""
 
@@ -263,7 +277,7 @@ class PublishedScatterer(_ReducedScatterer):
 
 
 Element = Annotated[
-    Fibre | Blood | Mixture | Pigment | LawAbsorber | Cell | PowerLawScatterer | PublishedScatterer,
+    Fibre | Blood | Mixture | Pigment | Solute | LawAbsorber | Cell | PowerLawScatterer | PublishedScatterer,
     Field(discriminator="kind"),
 ]
 """Any element, told apart by its `kind`."""

@@ -21,6 +21,7 @@ from livlab.model.tissue.elements import (
     Pigment,
     PowerLawScatterer,
     PublishedScatterer,
+    Solute,
 )
 from livlab.model.tissue.fibres import fibre
 from livlab.model.tissue.phase import HenyeyGreenstein
@@ -53,6 +54,11 @@ def _mixture(name: str, element: Mixture, setting: Setting) -> Interaction:
 
 def _pigment(name: str, element: Pigment, setting: Setting) -> Interaction:
     return absorber(name, element.fraction * element.spectrum.per_mm(setting.wavelength_nm, setting.note))
+
+
+def _solute(name: str, element: Solute, setting: Setting) -> Interaction:
+    extinction = element.spectrum.per_mm_per_mol_per_l(setting.wavelength_nm, setting.note)
+    return absorber(name, chromophores.solute(element.concentration_umol_per_l, extinction))
 
 
 def _law_absorber(name: str, element: LawAbsorber, setting: Setting) -> Interaction:
@@ -139,4 +145,5 @@ _KINDS: Mapping[type[Any], Callable[[str, Any, Setting], Interaction]] = {
     Pigment: _pigment,
     PowerLawScatterer: _power_law_scatterer,
     PublishedScatterer: _published_scatterer,
+    Solute: _solute,
 }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from livlab.errors import InputError
-from livlab.model.tissue.elements import Fibre
+from livlab.model.tissue.elements import Cell, Fibre
 from livlab.model.tissue.interactions import interaction
 from livlab.model.tissue.layers import FlatLayer
 from livlab.model.tissue.readings import Reading
@@ -67,7 +67,7 @@ def optical_stack(tissue: Tissue, reading: Reading, wavelength_nm: Any) -> Optic
         layers.append(PlaneLayer(flat.name, flat.thickness_mm, setting.n_medium, parts))
         _warn_if_dense(flat, setting)
     edge = Setting(wavelength, np.empty(0), reading, notes)
-    _warn_about(reading, edge)
+    _warn_about(reading, plain, edge)
     return OpticalStack(
         wavelength,
         tuple(layers),
@@ -160,12 +160,14 @@ def _warn_if_dense(layer: FlatLayer, setting: Setting) -> None:
         )
 
 
-def _warn_about(reading: Reading, setting: Setting) -> None:
-    if reading.fibre_density == "areal":
+def _warn_about(reading: Reading, tissue: Tissue, setting: Setting) -> None:
+    """Notes of what a reading does to this tissue: what it has nothing of is not spoken of."""
+    kinds = {type(e) for layer in tissue.layers for e in layer.elements.values()}
+    if reading.fibre_density == "areal" and Fibre in kinds:
         setting.note("Fibres: Q f_v has no unit; the number is taken as 1/cm (eq. 6.3, 6.7).")
-    if reading.mie_wavenumber == "vacuum":
+    if reading.mie_wavenumber == "vacuum" and Fibre in kinds:
         setting.note("Fibres: Q with the vacuum's wavenumber (eq. 6.6) is no efficiency.")
     if reading.redirect_factor == "cos":
         setting.note("The factor cos θ has mean zero: scattered light averages to nothing and can be negative.")
-    if reading.hepatocyte_rate == "log10":
-        setting.note("Hepatocytes: the penalised free path (eq. 6.19) makes more cells scatter less.")
+    if reading.hepatocyte_rate == "log10" and Cell in kinds:
+        setting.note("Cells: the penalised free path (eq. 6.19) makes more cells scatter less.")

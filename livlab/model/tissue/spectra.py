@@ -15,6 +15,9 @@ from livlab.units import FloatArray
 Outside = Literal["error", "hold"]
 """What to do outside the range a source covers: refuse, or hold the value at its end (and note it)."""
 
+MOLAR = ("1/(cm M)", "1/(mm M)")
+"""Units of a molar extinction."""
+
 Note = Callable[[str], None]
 """Takes a warning that a report must show."""
 
@@ -25,20 +28,26 @@ class Spec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True)
 
 
-class Spectrum(Spec):
-    """An absorption spectrum by dataset name; of several datasets the first that covers a wavelength is used.
-
-    In a file a plain name stands for `{datasets = [name]}`.
-    """
+class FromDatasets(Spec):
+    """A column of datasets, by their names in order of preference."""
 
     datasets: tuple[str, ...] = Field(strict=False, min_length=1, description="Datasets in order of preference.")
-    column: str = Field("absorption_per_cm", description="Column to read, an absorption coefficient.")
+    column: str = Field(description="Column to read.")
     outside: Outside = Field("error", description="Outside every dataset's range: error, or hold the nearest end.")
 
     @model_validator(mode="before")
     @classmethod
     def _from_name(cls, data: Any) -> Any:
         return {"datasets": [data]} if isinstance(data, str) else data
+
+
+class Spectrum(FromDatasets):
+    """An absorption spectrum by dataset name; of several datasets the first that covers a wavelength is used.
+
+    In a file a plain name stands for `{datasets = [name]}`.
+    """
+
+    column: str = Field("absorption_per_cm", description="Column to read, an absorption coefficient.")
 
     def per_mm(self, wavelength_nm: FloatArray, note: Note) -> FloatArray:
         """Absorption in 1/mm at wavelengths in nm.
@@ -50,7 +59,35 @@ class Spectrum(Spec):
         DatasetError, InputError
             A missing or damaged dataset, or a column that is no absorption coefficient.
         """
+        for name in self.datasets:
+            columns = datasets.load(name).meta.columns.items()
+            unit = next((c.unit for key, c in columns if self.column in (key, *c.aliases)), "")
+            if unit in MOLAR:
+                raise InputError.of(
+                    f"{name}.{self.column}",
+                    unit,
+                    "is a molar extinction, and this element asks for an absorption coefficient",
+                    'Use an element of kind = "solute", which has a concentration, or another column.',
+                )
         return _first_that_covers(self.datasets, self.column, "1/mm", wavelength_nm, self.outside, note)
+
+
+class Extinction(FromDatasets):
+    """A molar extinction (to the base 10) by dataset name, as `Spectrum`."""
+
+    column: str = Field("molar_extinction", description="Column to read, a molar extinction.")
+
+    def per_mm_per_mol_per_l(self, wavelength_nm: FloatArray, note: Note) -> FloatArray:
+        """Molar extinction in 1/(mm M) at wavelengths in nm.
+
+        Raises
+        ------
+        RangeError
+            A wavelength that no dataset covers, unless `outside` is "hold".
+        DatasetError, InputError
+            A missing or damaged dataset, or a column that is no molar extinction.
+        """
+        return _first_that_covers(self.datasets, self.column, "1/(mm M)", wavelength_nm, self.outside, note)
 
 
 class Cauchy(Spec):

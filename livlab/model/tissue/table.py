@@ -11,7 +11,7 @@ from livlab.model.tissue.elements import Cell, Mixture
 from livlab.model.tissue.interactions import cell_attenuation
 from livlab.model.tissue.layers import Layer
 from livlab.model.tissue.readings import Reading
-from livlab.model.tissue.spectra import Spec, Spectrum, refractive_index
+from livlab.model.tissue.spectra import FromDatasets, Spec, refractive_index
 from livlab.model.tissue.tissue import Tissue
 from livlab.units import per_mm_to_per_cm
 
@@ -99,7 +99,7 @@ def _source(tissue: Tissue, path: str, sources: dict[str, str], key: str = "") -
 
 
 def _shown(value: Any) -> Any:
-    if isinstance(value, Spectrum):
+    if isinstance(value, FromDatasets):
         return ", then ".join(value.datasets)
     if isinstance(value, Spec):
         return ", ".join(f"{k} {v}" for k, v in value.model_dump().items() if k != "outside")

@@ -12,9 +12,9 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from livlab import markup
 from livlab.config_errors import explain, nearest
 from livlab.errors import ConfigError, InputError
-from livlab.model.tissue.elements import Element, Mixture
+from livlab.model.tissue.elements import Cell, Element, Fibre, Mixture
 from livlab.model.tissue.layers import FlatLayer, Layer
-from livlab.model.tissue.readings import Reading
+from livlab.model.tissue.readings import Part, Reading, options_of
 from livlab.model.tissue.spectra import Index, Spec, names_of
 
 
@@ -130,6 +130,22 @@ class Tissue(Spec):
             layers.append(layer.model_copy(update={"elements": kept, "profile": profile}))
         return made.model_copy(update={"layers": tuple(layers), "choices": ()})
 
+    def options(self) -> tuple[str, ...]:
+        """Options of a reading that bear on this tissue: on what it is made of, its own choices, and any walk.
+
+        Examples
+        --------
+        >>> from livlab.model.tissue.presets import load_preset
+        >>> "hepatocyte_axes" in load_preset("liver").options(), "hepatocyte_axes" in load_preset("skin").options()
+        (True, False)
+        """
+        elements = [e for layer in self.layers for e in layer.elements.values()]
+        parts: list[Part] = ["walk"]
+        parts += ["fibres"] if any(isinstance(e, Fibre) for e in elements) else []
+        parts += ["cells"] if any(isinstance(e, Cell) for e in elements) else []
+        parts += ["stand-ins"] if any(getattr(e, "replaces", "") for e in elements) else []
+        return options_of(parts, {key for choice in self.choices for key in choice.when})
+
     def dataset_names(self) -> tuple[str, ...]:
         """Datasets that the tissue may need under any reading, sorted."""
         found = {*names_of(self.n_above), *names_of(self.n_below)}
@@ -228,7 +244,7 @@ def _rows(name: str, element: Element) -> list[tuple[object, ...]]:
     for key, value in element:
         if isinstance(value, float):
             unit = element.units.get(key, "")
-            bare = re.sub(r"_(um|nm|per_cm|g_per_l)$", "", key).replace("_", " ")
+            bare = re.sub(r"_(um|nm|per_cm|g_per_l|umol_per_l)$", "", key).replace("_", " ")
             rows.append((title, bare, value, "" if unit == "1" else unit, element.sources.get(key, "")))
     if isinstance(element, Mixture):
         for part, share in element.shares().items():

@@ -15,7 +15,7 @@
           const packed = depth > 0 ? -Math.expm1(-depth) / depth : 1;
           total += p[part.path + ".fraction"] * sigma * packed;
         } else if (part.kind === "pigment") {
-          total += p[part.path + ".fraction"] * part.spectrum[w];
+          total += p[`${part.path}.${part.key ?? "fraction"}`] * part.spectrum[w];
         } else if (part.kind === "mixture") {
           let left = 1, sum = 0;
           part.names.forEach((name, k) => {
