@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -19,7 +20,17 @@ _LOW, _HIGH = 0.04, 0.92
 """Share of full scale between which stored values test linearity: above black offsets, below clipping."""
 
 _STACK_TOLERANCE = 0.03
+
 _LAMBERT_TOLERANCE = 0.2
+_ENCODED = 1.35
+_DECODED_TWICE = (0.6, 0.05)
+_LAMBERT_MISFIT = 0.1
+"""What tells encodings from materials. Off the highlight, Lambert, Oren-Nayar (sigma to 0.9) and plastics (alpha .05 to
+.4, kd .05 to .4) that a cosine fits to 10 % come out at exponents of .75 to 1.2 if they are linear, at 1.4 and more if
+they are sRGB, gamma 1.8 or 2.2 (tests/reference/test_linearity_materials.py). Broad gloss alone lowers the exponent, so
+below 1 more is asked for: values decoded twice, which come out at .45."""
+
+_EXPONENTS = (0.3, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,15 +152,15 @@ class Linearity:
     verdict
         Of the values as they were decoded.
     gamma
-        Exponent that would make them linear (1 where they are).
+        Exponent that would make them linear (1 where they are); NaN where the verdict is undecided.
     standard_error
-        Of gamma: scatter, and what the method cannot tell from it.
+        Of gamma: scatter, and what the method cannot tell from it; infinite where the verdict is undecided.
     route
-        "exposure stack" or "matte sphere".
+        "exposure stack" or "sphere off its highlight".
     residual, residual_best
-        Relative residual at 1 and at gamma (matte sphere), or of the ratios (stack).
+        Relative residual at 1 and at its best exponent (sphere), or of the ratios (stack).
     residual_srgb
-        Relative residual if the values were sRGB (matte sphere); NaN of a stack.
+        Relative residual if the values were sRGB (sphere); NaN of a stack.
     notes
         What a reader should know.
     """
@@ -163,14 +174,29 @@ class Linearity:
     residual_srgb: float = float("nan")
     notes: tuple[str, ...] = ()
 
+    def told(self) -> str:
+        """The verdict in words: an exponent only where one was found, else why there is none."""
+        if self.verdict == "undecided":
+            return f"undecided: {' '.join(self.notes)}".rstrip()
+        text = f"{self.verdict}: exponent {self.gamma:.3f} +- {self.standard_error:.3f}"
+        if math.isfinite(self.residual_srgb):
+            text += f"; residual from a cosine {self.residual:.1%}, as sRGB {self.residual_srgb:.1%}"
+        return text
+
     def contradiction(self, declared: str) -> str | None:
         """The warning to give where the data contradict what was declared; None where they do not."""
         if self.verdict != "not linear":
             return None
-        return (
+        text = (
             f"Declared {declared}, but the {self.route} shows values that go as radiance^{1 / self.gamma:.2f} once "
             f"decoded (gamma {self.gamma:.2f} +- {self.standard_error:.2f}): the response is not what was declared."
         )
+        if self.residual_srgb < 0.7 * self.residual:
+            text += (
+                f" As sRGB it misses a cosine by {self.residual_srgb:.0%} only, as declared by {self.residual:.0%}: say "
+                'kind = "srgb" under [response].'
+            )
+        return text
 
 
 def from_exposures(
@@ -212,7 +238,9 @@ def from_exposures(
         halves.append((float(np.median(slope[dark])), float(np.median(slope[~dark]))))
     if not slopes:
         note = "No pair of exposures has fifty pixels that are neither black nor clipped in both."
-        return Linearity("undecided", 1.0, float("inf"), "exposure stack", float("nan"), float("nan"), notes=(note,))
+        return Linearity(
+            "undecided", float("nan"), float("inf"), "exposure stack", float("nan"), float("nan"), notes=(note,)
+        )
     s = np.array([x[0] for x in slopes])
     weight = np.array([x[2] for x in slopes])  # a long step knows the slope best
     mean = float(np.average(s, weights=weight))
@@ -230,20 +258,26 @@ def from_exposures(
     return Linearity(verdict, 1 / mean, error / mean**2, "exposure stack", abs(mean - 1), scatter, notes=tuple(notes))
 
 
-def from_matte_sphere(values: FloatArray, cosines: FloatArray, *, least_cosine: float = 0.26) -> Linearity:
-    """Linearity from a matte sphere under known lights: the exponent at which values best follow the cosine.
+def from_matte_sphere(
+    values: FloatArray, cosines: FloatArray, *, least_cosine: float = 0.26, beside: bool = False
+) -> Linearity:
+    """Linearity from a sphere under known lights: the exponent at which values best follow the cosine.
 
-    A cosine is no law of nature: gloss raises the exponent found, roughness lowers it, by some tenths. So the verdict
-    is "linear" where the exponent lies within 0.2 of 1, and sRGB or a gamma of 2.2, which would show as 2.2, is out.
+    A cosine is no law of nature: roughness, and gloss beyond the highlight, move the exponent by some tenths. So the
+    verdict is "linear" where it lies within 0.2 of 1, and "not linear" only where a cosine fits well at an exponent
+    that no known material gives linear values. Otherwise it is "undecided", and no exponent is told.
 
     Parameters
     ----------
     values : (lights, pixels) array
-        Decoded values; NaN where not usable.
+        Decoded values; NaN where not usable, as in the highlight.
     cosines : (lights, pixels) array
         n.l, times the relative irradiance of each light.
     least_cosine : float
         Pixels below are left out; 75°.
+    beside : bool
+        Whether all lights stand beside the camera, where a rough surface looks flat as an encoded one does: then
+        nothing but "linear" can be found.
 
     Raises
     ------
@@ -259,22 +293,51 @@ def from_matte_sphere(values: FloatArray, cosines: FloatArray, *, least_cosine: 
         raise InputError.of("values", int(use.sum()), "needs a hundred usable values", "See that the sphere is lit.")
     v, c = values[use] / np.max(values[use]), cosines[use]
 
-    def residual(g: float) -> float:
-        x = v**g
+    def residual(x: FloatArray) -> float:
         a = (x @ c) / (c @ c)
         return float(np.sqrt(np.mean((x - a * c) ** 2)) / np.mean(x))
 
-    best = optimize.minimize_scalar(residual, bounds=(0.3, 4.0), method="bounded", options={"xatol": 1e-3})
-    gamma, least, at_one = float(best.x), float(best.fun), residual(1.0)
-    srgb = np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
-    a = (srgb @ c) / (c @ c)
-    at_srgb = float(np.sqrt(np.mean((srgb - a * c) ** 2)) / np.mean(srgb))
-    verdict: Verdict = "linear" if abs(gamma - 1) <= _LAMBERT_TOLERANCE else "not linear"
-    notes = []
-    if least > 0.15:
-        verdict = "undecided" if verdict == "not linear" else verdict
-        notes.append(f"The sphere is not matte: it misses a cosine by {least:.0%} at any exponent.")
-    return Linearity(verdict, gamma, _LAMBERT_TOLERANCE / 2, "matte sphere", at_one, least, at_srgb, tuple(notes))
+    best = optimize.minimize_scalar(
+        lambda g: residual(v**g), bounds=_EXPONENTS, method="bounded", options={"xatol": 1e-3}
+    )
+    gamma, least = float(best.x), float(best.fun)
+    at_srgb = residual(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
+    verdict, note = _judged(gamma, least, beside=beside)
+    found = verdict != "undecided"
+    return Linearity(
+        verdict,
+        gamma if found else math.nan,
+        _LAMBERT_TOLERANCE / 2 if found else math.inf,
+        "sphere off its highlight",
+        residual(v),
+        least,
+        at_srgb,
+        (note,) if note else (),
+    )
+
+
+def _judged(gamma: float, least: float, *, beside: bool) -> tuple[Verdict, str]:
+    """The verdict on an exponent and the residual there, and why it is none."""
+    most = _LAMBERT_MISFIT / 2 if beside else _LAMBERT_MISFIT  # along one axis more things look like a cosine
+    if min(gamma - _EXPONENTS[0], _EXPONENTS[1] - gamma) < 0.02 or least > most:
+        low, high = _EXPONENTS
+        return "undecided", (
+            f"the sphere is not matte: off its highlight it misses a cosine by {least:.0%} or more at any exponent "
+            f"from {low:g} to {high:g}. An exposure stack would tell."
+        )
+    if abs(gamma - 1) <= _LAMBERT_TOLERANCE:
+        return "linear", ""
+    if beside:
+        return "undecided", (
+            "the lights stand beside the camera, where a rough surface looks flat as an encoded one does. "
+            "A light from the side, or an exposure stack, would tell."
+        )
+    if gamma >= _ENCODED or (gamma <= _DECODED_TWICE[0] and least <= _DECODED_TWICE[1]):
+        return "not linear", ""
+    return "undecided", (
+        f"what is left from a cosine ({least:.0%} off the highlight) may be the material's or the camera's. "
+        "An exposure stack would tell."
+    )
 
 
 def _check_stack(frames: Sequence[NDArray[np.generic]], exposures: Sequence[float]) -> None:

@@ -26,6 +26,12 @@ from livlab.errors import InputError
 MOST_SAMPLES = 1_000_000
 """Samples that are kept by default: more know nothing better and take 200 bytes each."""
 
+HIGHLIGHT = float(np.deg2rad(30.0))
+"""From the half vector: what a test for linearity leaves out as highlight."""
+
+BESIDE = float(np.deg2rad(25.0))
+"""From the camera: a light nearer than that stands beside it."""
+
 
 class Frames:
     """Developed pictures by light; the last one is kept, so that value and variance are developed once.
@@ -165,8 +171,10 @@ class PhotographedRig:
         """Variance of the images; None where the noise is not known."""
         return None if self.noise_known == "unknown" else lazy_images(self.frames, "variance", self.channels)
 
-    def matte_linearity(self, *, lights: int = 12, pixels: int = 4000) -> Linearity:
-        """Linearity as the sphere itself shows it, if it is matte: whether values follow the cosine.
+    def matte_linearity(self, *, lights: int = 12, pixels: int = 4000, highlight: float = HIGHLIGHT) -> Linearity:
+        """Linearity as the sphere itself shows it off its highlight: whether values follow the cosine.
+
+        Left out is what lies within `highlight` (rad) of the half vector, where gloss is.
 
         Raises
         ------
@@ -175,16 +183,22 @@ class PhotographedRig:
         """
         chosen = np.unique(np.linspace(0, len(self.lights) - 1, min(lights, len(self.lights))).astype(int))
         rows, columns = self.inside(pixels)
+        _, seen = self.camera.rays(columns, rows)
         hits = self.sphere.meet(*self.camera.rays(columns, rows))
-        values, cosines = [], []
+        values, cosines, aside = [], [], []
         for k in chosen:
             light = self.lights[k]
             at = self.frames[int(k)].value[rows, columns]
-            values.append((at / self.white / light.intensity).mean(axis=-1))
             towards, scale = light.at(hits.points_mm)
+            half = towards - seen
+            half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
+            off = np.einsum("ni,ni->n", half, hits.normals) <= np.cos(highlight)
+            values.append(np.where(off, (at / self.white / light.intensity).mean(axis=-1), np.nan))
             cosines.append(np.einsum("ni,ni->n", towards, hits.normals) * scale)
+            aside.append(float(np.max(-np.einsum("ni,ni->n", towards, seen), initial=-1.0)))
         stacked = np.array(cosines)
-        return from_matte_sphere(np.array(values), stacked / stacked.max())
+        beside = min(aside) > np.cos(BESIDE)
+        return from_matte_sphere(np.array(values), stacked / stacked.max(), beside=beside)
 
     def inside(
         self, most: int, max_angle: float = float(np.deg2rad(75.0))

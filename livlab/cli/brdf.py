@@ -257,12 +257,9 @@ def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) ->
         worst = max(h.sd_rad for balls in rig.highlights for h in balls)
         table.add_row("light directions", f"from mirror balls, +- {np.rad2deg(worst):.2f} degrees at worst")
     table.add_row("lights", f"{near} near, {lights - near} distant")
-    for name, verdict in (("exposure stack", rig.linearity), ("matte sphere", found.linearity)):
+    for name, verdict in (("exposure stack", rig.linearity), ("sphere", found.linearity)):
         if verdict is not None:
-            text = f"{verdict.verdict}: exponent {verdict.gamma:.3f} +- {verdict.standard_error:.3f}"
-            if name == "matte sphere":
-                text += f"; residual from a cosine {verdict.residual:.1%}, as sRGB {verdict.residual_srgb:.1%}"
-            table.add_row(f"linearity, {name}", text)
+            table.add_row(f"linearity, {name}", verdict.told())
     if rig.calibration is not None:
         table.add_row("camera", f"{rig.calibration.residual_px:.2f} px residual, {rig.calibration.corners} corners")
     if rig.colour is not None:
@@ -321,7 +318,7 @@ def _extracted(rig: PhotographedRig, found: Extracted, parts: ErrorBudget | None
         if verdict is not None:
             record[name] = {
                 "verdict": verdict.verdict, "gamma": number(verdict.gamma), "residual": number(verdict.residual),
-                "residual_srgb": number(verdict.residual_srgb),
+                "residual_srgb": number(verdict.residual_srgb), "notes": list(verdict.notes),
             }  # fmt: skip
     if parts is not None:
         record["budget"] = json.loads(parts.table.to_json(orient="records"))

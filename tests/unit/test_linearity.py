@@ -160,6 +160,16 @@ def test_a_mirror_is_no_matte_sphere():
     found = from_matte_sphere(values, cosines)
     assert found.verdict == "undecided"
     assert "not matte" in found.notes[0]
+    assert np.isnan(found.gamma)  # a bound that was hit is not found
+    assert found.told().startswith("undecided: the sphere is not matte")
+
+
+def test_srgb_taken_as_linear_is_named_with_its_remedy():
+    values, cosines = matte(1.0)
+    bent = np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.clip(values, 0.003, None) ** (1 / 2.4) - 0.055)
+    told = from_matte_sphere(bent, cosines).contradiction("linear")
+    assert told is not None
+    assert 'kind = "srgb" under [response]' in told
 
 
 def test_too_few_values_are_refused():
