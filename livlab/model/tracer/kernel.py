@@ -116,7 +116,7 @@ class Kernel:
         elif self.peel is not None:
             place.inward = dr.zeros(mi.Vector3f, n)
         ledger = Ledger([], [], [], (), (), zero() + 1.0, [])
-        meeting, aim, tau = Meeting((), (), (), (), (), ()), Aim((), (), (), ()), ()
+        meeting, aim, tau = Meeting((), (), (), (), (), (), ()), Aim((), (), (), ()), ()
         if m is not None:
             tau = zero()
             ledger.lengths = [zero() for _ in range(m.m.layers)] if m.several else []
@@ -129,7 +129,8 @@ class Kernel:
         if self.objects is not None:
             ledger.carried = [zero() + 1.0 for _ in range(self.width)]
         if self.peel is not None:
-            meeting = Meeting(meeting.layer, meeting.within, zero(), zero(), zero(), zero())
+            turned = zero() if self.peel.shares.needed else ()
+            meeting = Meeting(meeting.layer, meeting.within, zero(), zero(), zero(), zero(), turned)
             aim = Aim(none(), dr.zeros(mi.Point2f, n), dr.zeros(mi.Point3f, n), dr.full(mi.Bool, False, n))
         return self.renew(
             State(
@@ -213,7 +214,8 @@ class Kernel:
         hit = self.surface.meet(ray, cast)
         out = s.pending == OUT
         met = out & hit.other
-        seen = self.lights.seen(s, out & ~hit.valid, met & (s.covered <= 0.0), hit)
+        shares = self.peel.shares.met(s) if self.peel is not None else None
+        seen = self.lights.seen(s, out & ~hit.valid, met, hit, shares)
         s.pending = dr.select(out & (~hit.valid | hit.other), END, s.pending)
         if self.objects is not None:
             share = self.objects.share(s, hit, out & (~hit.valid | hit.other))

@@ -6,7 +6,7 @@ once for its spectrum, and in the loop at one wavelength only, for how much of i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,9 @@ from livlab.model.transport.device import Device
 from livlab.units import FloatArray
 
 GROUP = 4
+
+Share = Callable[[Any], Any]
+"""From a lamp's number to the share of its light that counts."""
 
 
 class Lights:
@@ -94,9 +97,9 @@ class Lights:
         found = packet(self.mi, self.dr, self.spectra, number, self.padded)
         return [found[w] * strength for w in range(len(self.wavelengths))]
 
-    def seen(self, s: Any, missed: Any, lamp: Any, hit: Any) -> list[Any]:
-        """Radiance that a ray has come to outside, a value a wavelength."""
-        around, met = self.surrounding(s, missed), self.met(hit, lamp)
+    def seen(self, s: Any, missed: Any, lamp: Any, hit: Any, share: Share | None = None) -> list[Any]:
+        """Radiance that a ray has come to outside, a value a wavelength; of a lamp, the share that its number has."""
+        around, met = self.surrounding(s, missed), self.met(hit, lamp, share)
         return [x + y for x, y in zip(around, met, strict=True)]
 
     def surrounding(self, s: Any, active: Any) -> list[Any]:
@@ -113,7 +116,7 @@ class Lights:
             return self.emission(mi.UInt32(k) + dr.zeros(mi.UInt32, dr.width(s.row)), found)
         return self._groups(si, lambda x: self.environment.eval(x, active), active)
 
-    def met(self, hit: Any, active: Any) -> list[Any]:
+    def met(self, hit: Any, active: Any, share: Share | None = None) -> list[Any]:
         """Radiance of a lamp's surface that a ray has hit, a value a wavelength."""
         dr, mi = self.dr, self.mi
         if not self.surfaces:
@@ -122,11 +125,12 @@ class Lights:
         si = hit.found.compute_surface_interaction(hit.ray, flags, active)
         emitter = si.shape.emitter()
         lit = active & (emitter != None)  # noqa: E711 - Dr.Jit compares elementwise
-        if any(self.textured[self.all.index(e)] for e in self.surfaces):
-            return self._groups(si, lambda x: emitter.eval(x, lit), lit)
         number = dr.gather(mi.UInt32, self.number_of, dr.reinterpret_array(mi.UInt32, emitter), lit)
+        counts = share(number) if share is not None else mi.Float(1.0)
+        if any(self.textured[self.all.index(e)] for e in self.surfaces):
+            return [x * counts for x in self._groups(si, lambda x: emitter.eval(x, lit), lit)]
         si.wavelengths = mi.UnpolarizedSpectrum(dr.gather(mi.Float, self.references, number, lit))
-        found = dr.select(lit, emitter.eval(si, lit)[0], 0.0)
+        found = dr.select(lit, emitter.eval(si, lit)[0] * counts, 0.0)
         return self.emission(number, found)
 
     def arriving(self, lamp: Any, it: Any, sample: Any, active: Any) -> tuple[list[Any], Any]:

@@ -80,6 +80,8 @@ def meet(kernel: Kernel, s: State) -> State:
         s.place.since = dr.select(here, 0.0, s.place.since)
     if kernel.peel is not None:
         s.covered = dr.select(lives, kernel.peel.farthest, s.covered)
+        if kernel.peel.shares.needed:
+            now.turned = dr.select(lives, kernel.peel.shares.density(now, w, lives), now.turned)
     s.pending = dr.select(lives, mi.UInt32(WALK), dr.select(dead, END, s.pending))
     return s
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from livlab.model.tracer.share import Shares
 from livlab.model.tracer.state import Aim, State
 from livlab.model.tracer.surface import Hit
 from livlab.model.transport import rng as random
@@ -32,6 +33,9 @@ FLOOR = 0.05
 FARTHEST = 0.1
 """Longest last leg inside on which lamps of some extent are asked for, as part of the body's size. In a ball of index
 1.4 light that grazes the surface has its first focus at 0.35 of the diameter."""
+
+STEEP = 0.02
+"""Least cosine with a facet that a last leg by the surface is reckoned with."""
 
 CAUSTIC = 0.02
 """Least part of the spread that a flat surface gives: below it light is focused more than is believed."""
@@ -93,6 +97,7 @@ class Peel:
         self.farthest = one(FARTHEST * size)
         self.distant = [bool(mi.has_flag(e.flags(), mi.EmitterFlags.Infinite)) for e in lights.lamps]
         self.regions = len(m.m.regions)
+        self.shares = Shares(kernel)
 
     def bend(self, lamp: Any, normal: Any, eta: Any) -> tuple[Any, Any, Any]:
         """Direction inside of light from the lamp's direction, and both cosines."""
@@ -183,7 +188,7 @@ class Peel:
         distant = s.aim.distant
         far = dr.select(distant, 0.0, dr.norm(s.aim.spot - way.y))
         factor = self.spread(way, c2, distant, far, dr.rcp(eta), near, good)
-        lift = dr.select(near, self.lift_flat, self.lift)
+        lift = dr.select(way.hit.body & ~way.hit.outward, self.lift, self.lift_flat)
         ray = mi.Ray3f(way.y + way.normal * lift, way.lamp)
         ray.maxt = dr.select(distant, 1e30, (far - lift) * (1.0 - 1e-4))
         good &= ~self.k.scene.ray_test(ray, good)
@@ -196,8 +201,10 @@ class Peel:
         factor = dr.select(good, factor * dr.rcp(dr.maximum(now.chance, 1e-6)), 0.0)
         if m.focused:
             factor = factor * m.pick(now.layer, m.focus)
-        strength = [x * factor for x in self.strength(s, way.y, good)]
         w = 0.5 * dr.squared_norm(s.d - way.inside)
+        if self.shares.needed:
+            factor = factor * self.shares.asked(s, w, good)
+        strength = [x * factor for x in self.strength(s, way.y, good)]
         scattered = m.packet(m.log_scattered, now.layer, m.m.padded)
         closed = m.log_phase(now.code, now.g, w)
         extra = [x + closed for x in scattered]
@@ -248,14 +255,20 @@ class Peel:
         y, normal = dr.select(hit.body, hit.p, y), dr.select(hit.body, hit.normal, normal)
         lamp = self.toward(aim, y)
         inside, out, cosine = self.bend(lamp, normal, eta)
-        hit = self.k.surface.meet(mi.Ray3f(s.p, inside), deep)
-        good = ~deep | (hit.body & ~hit.outward)
-        flat = depth * dr.rcp(dr.maximum(cosine, 1e-3))
-        y = dr.select(deep, hit.p, s.p + inside * flat)
-        normal = dr.select(deep, hit.normal, normal)
+        hit = self.k.surface.meet(mi.Ray3f(s.p, inside), goes)
+        found = hit.body & ~hit.outward
+        # Rounding may have left a place by the surface outside: there the depth is what is known.
+        onto = deep | found
+        y = dr.select(onto, hit.p, s.p + inside * (depth * dr.rcp(dr.maximum(cosine, 1e-3))))
+        normal = dr.select(onto, hit.normal, normal)
         lamp = self.toward(aim, y)
         inside, out, cosine = self.bend(lamp, normal, eta)
-        path = dr.select(deep, hit.t, flat)
+        flat = depth * dr.rcp(dr.maximum(cosine, 1e-3))
+        # By the surface itself: the depth is off by some µm, δ, and where free paths are no longer its e^(µt δ) counts.
+        steep = dr.maximum(dr.dot(inside, hit.facet), STEEP)
+        leg = dr.select(near, dr.maximum(dr.dot(hit.p - s.p, hit.facet), 0.0) * dr.rcp(steep), hit.t)
+        path = dr.select(onto, leg, flat)
+        good = ~deep | found
         sine = 1.0 - dr.square(dr.dot(lamp, normal))
         cosines = []
         for r in range(self.regions):
@@ -270,8 +283,10 @@ class Peel:
                 high = dr.maximum(dr.minimum(depth, m.top[k + 1]) - top, 0.0)
                 legs.append(high * dr.rcp(dr.maximum(cosines[owner[k]], 1e-3)))
                 rest = rest - legs[k]
-            own = [s.meeting.layer == k for k in range(m.m.layers)]
-            legs = [dr.maximum(x + dr.select(deep & o, rest, 0.0), 0.0) for x, o in zip(legs, own, strict=True)]
+            # What the depth is off by belongs to the meeting's layer deep inside, to the uppermost by the surface.
+            rest = dr.select(near, path - flat, rest)
+            own = [(deep & (s.meeting.layer == k)) | (near & mi.Bool(k == 0)) for k in range(m.m.layers)]
+            legs = [dr.maximum(x + dr.select(o, rest, 0.0), 0.0) for x, o in zip(legs, own, strict=True)]
         else:
             legs = [path]
         return Way(y, inside, normal, lamp, good & (out > 0.0), path, legs, cosines, hit)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.lights import Lights
+from livlab.model.tracer.lights import Lights, Share
 from livlab.model.tracer.tracer import Rays, Tracer
 from livlab.model.transport.rng import uniform
 from livlab.units import FloatArray
@@ -191,7 +191,7 @@ class _Directions(Lights):
         one = [1.0] * (len(self.wavelengths) - 3)
         return [dr.select(told, x, 0.0) for x in (*one, 2.0 + s.d.x, 2.0 + s.d.y, 2.0 + s.d.z)]
 
-    def met(self, hit: Any, active: Any) -> list[Any]:
+    def met(self, hit: Any, active: Any, share: Share | None = None) -> list[Any]:
         """There are no lamps."""
         return [self.mi.Float(0.0) for _ in self.wavelengths]
 

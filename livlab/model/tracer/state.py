@@ -79,6 +79,8 @@ class Meeting:
         How what was met scatters: see `livlab.model.tracer.medium.Medium`.
     chance
         With which the lamp was asked for.
+    turned
+        Density with which the path was last turned: see `livlab.model.tracer.share`.
     """
 
     layer: Any
@@ -87,6 +89,7 @@ class Meeting:
     g: Any
     base: Any
     chance: Any
+    turned: Any
 
 
 @dataclass
@@ -123,7 +126,7 @@ class State:
         The path is still the camera's own ray.
     covered
         Path on which lamps were asked for at the last scattering, less what was gone since: a lamp that is met while it
-        is positive was counted.
+        is positive was counted in part.
     light
         What the row has seen, a value a wavelength.
     bounce
