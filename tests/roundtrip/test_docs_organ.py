@@ -40,6 +40,21 @@ def test_every_block_of_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.Mo
             exec(compile(body, f"{PAGE.name}, {body.splitlines()[0]}", "exec"), names)
         done[language] += 1
     assert all(done.values())
+    assert load_experiment(Path("picture.toml")).plain()["kind"] == "picture"
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_tutorial_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, libllvm: object) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _, title, body in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+        if title in ("my-skin.toml", "picture.toml"):
+            with Path(title).open("a", encoding="utf-8") as stream:
+                stream.write(body + "\n")
+    result = CliRunner().invoke(app, ["run", "picture.toml"])
+    assert result.exit_code == 0, (result.output, result.exception)
+    page = next(tmp_path.glob("runs/skin-ball-*/report.html")).read_text(encoding="utf-8")
+    assert "Absorption coefficient of the dermis" in page
+    assert "above it lies the epidermis" in page
 
 
 def test_the_skin_of_the_tutorial_is_the_preset(tmp_path: Path) -> None:

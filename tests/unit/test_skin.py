@@ -69,3 +69,44 @@ def test_without_blood_the_w_is_gone_and_without_oxygen_it_is_one_dip() -> None:
     dips = np.flatnonzero(np.diff(np.sign(np.diff(blue.value[inside]))) > 0)
     assert len(dips) == 1
     assert GRID[inside][dips[0] + 1] == pytest.approx(555, abs=6)  # deoxyhaemoglobin's single band
+
+
+def tones() -> dict[int, livlab.Spectrum]:
+    """Samples 15 and 18 of CIE 224:2017, which ANSI/IES TM-30 designates as skin tones: a light and a darker one."""
+    from colour import SpectralShape
+    from colour.quality.cfi2017 import load_TCS_CIE2017
+
+    table = load_TCS_CIE2017(SpectralShape(380, 780, 5))
+    return {n: livlab.Spectrum.of(table.wavelengths, table.values[:, n - 1], name=f"sample {n}") for n in (15, 18)}
+
+
+def test_the_shape_is_that_of_measured_skin_and_the_level_is_darker() -> None:
+    """docs/adding-an-organ.md's table: nothing in the preset was tuned to these curves."""
+    grid = np.arange(400.0, 701.0, 10.0)
+    known = tones()
+    melanosomes, baseline = (f"layers.epidermis.elements.{n}.fraction" for n in ("melanosomes", "baseline"))
+
+    def skin(share: float) -> livlab.Spectrum:
+        changes = {melanosomes: share, baseline: 1.0 - share}
+        return livlab.spectrum("skin", "measured", grid, changes=changes, solver="adding-doubling")
+
+    found = {share: skin(share) for share in (0.013, 0.04, 0.11, 0.30)}
+    pearson = {(n, s): livlab.compare(c, known[n]).pearson for n in known for s, c in found.items()}
+    assert pearson[15, 0.04] > 0.997
+    assert pearson[18, 0.11] > 0.999
+    assert pearson[15, 0.30] < 0.98  # so that the bars above say something
+    # The light sample lies within the published range of a light skin's melanosomes only at its lightest end.
+    ratio = {s: c.value / known[15].at(grid) for s, c in found.items()}
+    assert 0.58 < ratio[0.04].min() < ratio[0.04].max() < 0.78
+    assert ratio[0.013].min() < 1.0 < ratio[0.013].max()
+    # Upper inner arms, 685 nm (Jablonski and Chaplin 2000): 0.193 in Darwin, 0.669 in Mainz.
+    assert 0.193 < found[0.04].at([685.0])[0] < 0.669
+    assert found[0.30].at([685.0])[0] < 0.193
+
+
+def test_the_dermis_agrees_with_the_other_form_of_its_row() -> None:
+    """Jacques 2013, Table 1 gives each tissue in two forms; a wrong Mie exponent (0.69) would be 8 % off at 1000 nm."""
+    found = coefficients(livlab.tissue("skin"), READINGS["measured"], [1000.0])
+    part = found.sel(layer="dermis", element="structure")
+    reduced = float((part["scattering"] * (1 - part["anisotropy"])).item())
+    assert reduced == pytest.approx(45.3 * 2.0**-1.292 / 10, rel=0.01)
