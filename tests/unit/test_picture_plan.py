@@ -7,10 +7,12 @@ from picture_fakes import small
 
 from livlab.config_picture import Colour
 from livlab.model.tissue.optics import optical_stack
+from livlab.model.tissue.phase import Isotropic
 from livlab.model.tissue.readings import READINGS
+from livlab.model.tissue.stack import plain_stack
 from livlab.study.picture_claims import Seen, judge
 from livlab.study.picture_colour import colour_routes
-from livlab.study.picture_plan import LOOKED_AT, looked_at_of
+from livlab.study.picture_plan import ANGLES_DEG, LOOKED_AT, looked_at_of, widest_change
 from livlab.study.picture_tables import optics
 
 GRID, _ = colour_routes(Colour(kappa_nm=20.0, count=5), seed=1)
@@ -48,3 +50,24 @@ def test_speed_is_a_claim_of_samples_a_second() -> None:
     config = small(text)
     slow, fast = (Seen({}, 0.1, 2.0, 1.0, v) for v in (9e5, 2e6))
     assert [judge(config, {("", "thesis"): s})[0].verdict for s in (slow, fast)] == ["FAIL", "PASS"]
+
+
+def test_what_a_plan_moves_is_the_largest_change_at_any_angles() -> None:
+    """Half-spaces that scatter alike in all directions, in closed form: πL/E = a H(µ) H(µ0) / 4 (µ + µ0)."""
+    cosine = np.cos(np.radians(ANGLES_DEG))
+    node, weight = np.polynomial.legendre.leggauss(64)
+    node, weight = 0.5 * (node + 1.0), 0.5 * weight
+
+    def factor(albedo: float) -> np.ndarray:
+        at = np.concatenate([node, cosine])
+        h = np.ones_like(at)
+        for _ in range(200):  # 1/H = sqrt(1 - a) + a/2 times the integral: Chandrasekhar 1950, ch. V
+            inner = (node * h[: len(node)] * weight / (at[:, None] + node)).sum(axis=1)
+            h = 1.0 / (np.sqrt(1.0 - albedo) + 0.5 * albedo * inner)
+        h = h[len(node) :]
+        return np.asarray(albedo / 4.0 * h[:, None] * h / (cosine[:, None] + cosine))
+
+    some, more = (plain_stack([(1.0, 1.0 - a, a, np.inf, Isotropic())]) for a in (0.8, 0.9))
+    wanted = np.abs(factor(0.9) - factor(0.8)).max()
+    assert np.isclose(widest_change(some, more), wanted, rtol=1e-4)
+    assert widest_change(some, some) == 0.0
