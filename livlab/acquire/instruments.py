@@ -6,7 +6,7 @@ Every default that the literature does not fix is marked "assumed" in its descri
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -120,7 +120,28 @@ Instrument = Annotated[Collinear | IntegratingSphere | FibreProbe | Hyperspectra
 """A virtual instrument, by `kind`."""
 
 
-class WalkSolver(_Part):
+class _Sampled(_Part):
+    """A solver by chance: exactly one of three rules says when it has sampled enough."""
+
+    kind: str
+    estimator: Literal["expected", "analog"] = "expected"
+    samples: int | None = None
+    standard_error: float | None = Field(None, gt=0.0, description="Standard error that every wavelength must meet.")
+    relative: float | None = Field(None, gt=0.0, lt=1.0, description="The same, as a share of the curve's maximum.")
+    max_samples: int
+    max_seconds: float | None = Field(None, gt=0.0, description="Seconds after which it stops, unfinished.")
+    seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
+
+    default_relative: ClassVar[float]
+    """The rule if none is given."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_target(cls, given: Any) -> Any:
+        return _one_rule(given, cls.default_relative)
+
+
+class WalkSolver(_Sampled):
     """Monte Carlo (`livlab.model.transport.walk`), each wavelength with as many samples as it needs.
 
     Exactly one of `samples`, `standard_error` and `relative` rules; `relative` 0.002 if none is given.
@@ -129,21 +150,14 @@ class WalkSolver(_Part):
     kind: Literal["walk"] = "walk"
     estimator: Literal["expected", "analog"] = Field("expected", description="Summed rates and weights, or literal.")
     samples: int | None = Field(None, ge=1000, le=10**10, description="Samples for every wavelength.")
-    standard_error: float | None = Field(None, gt=0.0, description="Standard error that every wavelength must meet.")
-    relative: float | None = Field(None, gt=0.0, lt=1.0, description="The same, as a share of the curve's maximum.")
     pilot: int = Field(65536, ge=1000, le=10**8, description="Samples that first gauge each wavelength's noise.")
     largest_launch: int = Field(4_000_000, ge=1000, le=10**9, description="Samples in one launch, all wavelengths.")
     max_samples: int = Field(10**9, ge=1000, le=10**11, description="Samples after which a wavelength is given up.")
-    max_seconds: float | None = Field(None, gt=0.0, description="Seconds after which it stops, unfinished.")
-    seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_target(cls, given: Any) -> Any:
-        return _one_rule(given, 0.002)
+    default_relative: ClassVar[float] = 0.002
 
 
-class TracerSolver(_Part):
+class TracerSolver(_Sampled):
     """The reference tracer: the sample as a block in a scene (`livlab.model.tracer.block`).
 
     A path serves all wavelengths. Exactly one of `samples`, `standard_error` and `relative` rules; `relative` 0.01 if
@@ -153,17 +167,10 @@ class TracerSolver(_Part):
     kind: Literal["tracer"] = "tracer"
     estimator: Literal["expected", "analog"] = Field("expected", description="Survival by weight, or by chance.")
     samples: int | None = Field(None, ge=2048, le=10**10, description="Paths; each serves every wavelength.")
-    standard_error: float | None = Field(None, gt=0.0, description="Standard error that every wavelength must meet.")
-    relative: float | None = Field(None, gt=0.0, lt=1.0, description="The same, as a share of the curve's maximum.")
     launch: int = Field(131_072, ge=2048, le=10**8, description="Paths in one launch.")
     max_samples: int = Field(10**8, ge=2048, le=10**11, description="Paths after which it is given up.")
-    max_seconds: float | None = Field(None, gt=0.0, description="Seconds after which it stops, unfinished.")
-    seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_target(cls, given: Any) -> Any:
-        return _one_rule(given, 0.01)
+    default_relative: ClassVar[float] = 0.01
 
 
 class AddingDoublingSolver(_Part):
@@ -184,7 +191,7 @@ class AutoSolver(_Part):
     seed: int = Field(1, ge=0, lt=2**31, description="Seed of every draw.")
 
 
-DEFAULT_ACCURACY = Accuracy(relative=0.002)
+DEFAULT_ACCURACY = Accuracy(relative=WalkSolver.default_relative)
 """What an `AutoSolver` is to meet if an experiment has no wish: what `WalkSolver` aims at, too."""
 
 Solver = Annotated[WalkSolver | AddingDoublingSolver | TracerSolver | AutoSolver, Field(discriminator="kind")]
