@@ -7,18 +7,23 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 Verdict = Literal["same", "same but for times", "differs", "only before", "only now", "not compared"]
 
-CLOCK = frozenset({"seconds", "seconds_left", "samples_per_second", "trace_seconds", "compile_seconds"})
+CLOCK = frozenset(
+    {"seconds", "seconds_left", "samples_per_second", "trace_seconds", "compile_seconds"}
+    | {"setup_seconds", "solving_seconds"}
+)
 """Columns and keys that hold what a clock said: no two runs agree on them."""
 
 ACCOUNTS = frozenset({"costs.csv", "ways.csv"})
 """Files about time and speed alone."""
+
+CLAIMS = "claims.csv"
 
 LARGEST_BYTES = 512 << 20
 
@@ -50,11 +55,17 @@ class FileVerdict:
 def timeless(name: str, raw: bytes) -> bytes:
     r"""A file without what a clock said: the columns and keys of `CLOCK` are taken out; others are left alone.
 
+    Of a claim about time the value and its verdict are a clock's, too: its row is left out.
+
     >>> timeless("claims.csv", b"criterion,value,seconds\na,1,0.5\n")
+    b'criterion,value\na,1\n'
+    >>> timeless("claims.csv", b"criterion,value,seconds\na,1,0.5\nseconds of a,0.50004,0.5\n")
     b'criterion,value\na,1\n'
     """
     if name.endswith(".csv"):
         rows = list(csv.reader(io.StringIO(raw.decode("utf-8", "replace"), newline="")))
+        if name == CLAIMS:
+            rows = [row for k, row in enumerate(rows) if not k or not _of_time(dict(zip(rows[0], row, strict=False)))]
         dropped = {k for k, column in enumerate(rows[0] if rows else []) if column in CLOCK}
         if not dropped:
             return raw
@@ -68,6 +79,14 @@ def timeless(name: str, raw: bytes) -> bytes:
             return raw
         return json.dumps(_without_clock(data), sort_keys=True, ensure_ascii=False).encode()
     return _grid_without_clock(raw) if name.endswith(".nc") else raw
+
+
+def _of_time(claim: Mapping[str, str]) -> bool:
+    """Whether what a claim judges is the time that it took: its value is its seconds, which have four digits."""
+    try:
+        return float(claim["seconds"]) > 0 and f"{float(claim['value']):.4g}" == f"{float(claim['seconds']):.4g}"
+    except (KeyError, ValueError):
+        return False
 
 
 def timeless_hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:

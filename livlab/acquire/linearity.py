@@ -193,8 +193,8 @@ class Linearity:
         )
         if self.residual_srgb < 0.7 * self.residual:
             text += (
-                f" As sRGB it misses a cosine by {self.residual_srgb:.0%} only, as declared by {self.residual:.0%}: say "
-                'kind = "srgb" under [response].'
+                f" As sRGB it misses a cosine by {self.residual_srgb:.0%} only, as declared by {self.residual:.0%}: "
+                'say kind = "srgb" under [response].'
             )
         return text
 

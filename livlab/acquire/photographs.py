@@ -130,6 +130,8 @@ class PhotographedRig:
         For each light what the mirror balls showed.
     calibration, colour
         Of the camera and its colours; None without.
+    cut
+        Whether a part of the sphere may lie outside the pictures.
     corrected
         Faults that a calibration took out: dark, flat, lens, linearity, stray, colour.
     files
@@ -156,6 +158,7 @@ class PhotographedRig:
     highlights: tuple[tuple[Highlight, ...], ...] = ()
     calibration: CameraCalibration | None = None
     colour: ColourCalibration | None = None
+    cut: bool = False
     corrected: frozenset[str] = frozenset()
     files: dict[str, list[str]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

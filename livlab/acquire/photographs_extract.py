@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
+from livlab.acquire import photographs_check as check
 from livlab.acquire.linearity import Linearity
 from livlab.acquire.outline import FloatArray
 from livlab.acquire.photographs import MOST_SAMPLES, PhotographedRig
@@ -120,18 +123,27 @@ def extract_samples(
         max_angle=max_angle,
         grazing_px=grazing_px,
         empty_lights="skip" if skip_empty else "refuse",
+        cut=rig.cut,
     )
     look = _Shadows(rig)
     parts, tallies, shadows, kept = [], [], [], []
-    for part in extraction.by_light():
-        k = int(part["light"].values[0])
-        clipped = _check_clipped(rig, k, part, max_clipped)
-        parts.append(part.drop_vars([n for n in part.variables if "sample" not in part[n].dims and n != "channel"]))
-        tallies.append({**{n: int(part[n][0]) for n in _COUNTS}, "clipped": clipped})
-        shadows.append(look(k))
-        kept.append(k)
-        if progress is not None:
-            progress(k + 1, len(rig.lights))
+    seen: dict[int, FloatArray | None] = {}
+    try:
+        for part in extraction.by_light():
+            k = int(part["light"].values[0])
+            clipped = _check_clipped(rig, k, part, max_clipped)
+            parts.append(part.drop_vars([n for n in part.variables if "sample" not in part[n].dims and n != "channel"]))
+            tallies.append({**{n: int(part[n][0]) for n in _COUNTS}, "clipped": clipped})
+            shadows.append(look(k))
+            seen[k] = look.lit_from(k)
+            kept.append(k)
+            if progress is not None:
+                progress(k + 1, len(rig.lights))
+    except InputError as error:
+        if "no sample" not in error.message:
+            raise
+        why = " ".join(_elsewhere(rig, look, seen))
+        raise InputError(error.message, remedy=why or f"{error.remedy} (--skip-empty)") from error
     if not parts:
         raise InputError.of("lights", len(rig.lights), "none gives a sample", "Check where the lights stand.")
     samples = xr.concat(
@@ -144,12 +156,14 @@ def extract_samples(
         index[k] = list(tally.values())
     for n, name in enumerate((*_COUNTS, "clipped")):
         samples[name] = ("light_index", index[:, n])
-    samples = _scaled(rig, samples)
-    try:
-        matte = rig.matte_linearity()
-    except InputError:
-        matte = None
-    warnings = [*rig.warnings, *_shadow_warnings(shadows), *_picture_warnings(rig)]
+    elsewhere = _elsewhere(rig, look, seen)
+    samples = _scaled(rig, samples, " ".join(elsewhere) or "See that the lights were on.")
+    matte = None
+    if not elsewhere:
+        with contextlib.suppress(InputError):  # too little of it is lit
+            matte = rig.matte_linearity()
+    # Where the lights are elsewhere, what is taken for a shadow is none.
+    warnings = [*rig.warnings, *(elsewhere or _shadow_warnings(shadows)), *_picture_warnings(rig)]
     if matte is not None:
         said = matte.contradiction("linear once decoded")
         if said and rig.linearity is None:
@@ -166,15 +180,23 @@ def _spread(light: Any, count: int) -> Any:
     return replace(light, intensity=np.broadcast_to(light.intensity, count).copy())
 
 
-def _scaled(rig: PhotographedRig, samples: xr.Dataset) -> xr.Dataset:
+def _elsewhere(rig: PhotographedRig, look: _Shadows, seen: Mapping[int, FloatArray | None]) -> list[str]:
+    """What the shading of all pictures says against the lights' directions."""
+    every = [seen[k] if k in seen else look.lit_from(k) for k in range(len(rig.lights))]
+    return check.directions(rig.lights, rig.camera, rig.sphere, every)
+
+
+def _scaled(rig: PhotographedRig, samples: xr.Dataset, dark: str) -> xr.Dataset:
     """Without a white reference the scale is free: it is set so that the brightest channel reflects a half on average.
 
-    A fit would otherwise run into the bounds of an albedo.
+    A fit would otherwise run into the bounds of an albedo. `dark` is what to do where all is black.
     """
     if np.isfinite(rig.white_sd):
         return samples.assign_attrs(scale="absolute, by a white reference")
     weight = np.cos(samples["theta_i"].values) * np.cos(samples["theta_o"].values)
     mean = np.average(samples["value"].values, axis=0, weights=weight)
+    if not mean.max() > 0:
+        raise InputError.of("pictures", "black", "are dark wherever the lights should light the sphere", dark)
     factor = 0.5 / np.pi / float(mean.max())
     told = f"arbitrary: no white reference; multiplied by {factor:.6g} to a mean of 0.5/pi in the brightest channel"
     return samples.assign(
@@ -207,7 +229,7 @@ def _check_clipped(rig: PhotographedRig, k: int, part: xr.Dataset, most: float) 
             f"pictures of light {k}",
             f"{lost} of {all_lit} pixels clipped",
             f"is overexposed: at most {most:.3g} of a light's pixels may be clipped in every exposure",
-            "Expose shorter, add a shorter exposure to merge, or allow it (max_clipped) and lose the highlight.",
+            "Expose shorter, add a shorter exposure to merge, or allow it (--max-clipped) and lose the highlight.",
         )
     return lost if told is not None and told.clipped > 0 else 0
 
@@ -225,16 +247,26 @@ class _Shadows:
         inside = np.all((ring >= 0) & (ring <= [rig.camera.width - 1, rig.camera.height - 1]), axis=1)
         self.ring = np.round(ring[inside]).astype(int)
 
+    def at(self, k: int) -> NDArray[np.floating]:
+        """Radiance of the pixels that are looked at, mean over the channels."""
+        return np.asarray(self.rig.frames[k].value[self.rows, self.columns].mean(axis=-1))
+
+    def lit_from(self, k: int) -> FloatArray | None:
+        """Where the sphere looks lit from."""
+        return check.seen_direction(self.hits.normals, self.at(k))
+
     def __call__(self, k: int) -> Shadow | None:
         towards, _ = self.rig.lights[k].at(self.hits.points_mm)
         cosine = np.einsum("ni,ni->n", towards, self.hits.normals)
         value = self.rig.frames[k].value
-        at = value[self.rows, self.columns].mean(axis=-1)
+        at = self.at(k)
         lit = (cosine > 0.1) & np.isfinite(at)
         dark = (cosine < _DARK_COSINE) & np.isfinite(at)
         if dark.sum() < max(30, 0.03 * lit.sum()) or lit.sum() < 30:
             return None
         bright = float(at[lit].mean())
+        if not bright > 0:
+            return None
         basis = np.column_stack([np.ones(int(dark.sum())), self.hits.normals[dark]])
         fitted, *_ = np.linalg.lstsq(basis, at[dark], rcond=None)
         level = float(at[dark].mean())

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.acquire.calibration_chart import ColourCalibration
 from livlab.acquire.linearity import Response
 from livlab.acquire.outline import FloatArray
 from livlab.acquire.photographs_read import Photograph
@@ -306,3 +307,23 @@ def estimate_noise(value: NDArray[np.floating]) -> Noise | None:
     if read2 + gain <= 0:
         return None
     return Noise(read=float(np.sqrt(read2)), gain=float(gain / scale))
+
+
+def coloured(merged: Merged, colour: ColourCalibration | None, *, grey: bool) -> Merged:
+    """A picture in a chart's colours, in grey, or as it is.
+
+    Raises
+    ------
+    InputError
+        A chart, and pictures that are not in RGB.
+    """
+    value, variance = merged.value, merged.variance
+    if colour is not None:
+        if value.shape[2] != 3:
+            raise InputError.of("colour", value.shape, "needs pictures in RGB", "Leave the chart out.")
+        value = np.asarray(value @ colour.matrix.T.astype(np.float32))
+        variance = np.asarray(variance @ (colour.matrix.T**2).astype(np.float32))
+    if grey:
+        variance = variance.sum(axis=2, keepdims=True) / np.float32(value.shape[2] ** 2)
+        value = value.mean(axis=2, keepdims=True)
+    return replace(merged, value=value, variance=variance)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.config_errors import nearest
 from livlab.errors import InputError
 from livlab.files import first_line
 
@@ -21,6 +24,8 @@ RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", 
 
 FORMATS = ("PNG", "JPEG", "TGA", "BMP", "PPM", "GIF", "WEBP")
 """What Pillow may open. Among all it knows are formats that start other programs (Ghostscript for EPS)."""
+
+_ORIENTATION = 0x0112
 
 _REMEDY = "Give PNG, TIFF (8 or 16 bit), EXR, TGA, JPEG or a camera's raw file."
 
@@ -70,6 +75,8 @@ class Photograph:
         (a gamma or sRGB chunk, JPEG), None where it says nothing.
     notes
         What a reader should know.
+    turned
+        Whether EXIF asks viewers to turn or flip it; the values are as stored.
     """
 
     name: str
@@ -78,6 +85,7 @@ class Photograph:
     exposure: Exposure
     linear: bool | None
     notes: tuple[str, ...] = ()
+    turned: bool = False
 
 
 def read_photograph(path: Path) -> Photograph:
@@ -91,7 +99,7 @@ def read_photograph(path: Path) -> Photograph:
         Missing, unreadable, truncated, no image, of several pages, or above `MAX_PIXELS`.
     """
     if not path.is_file():
-        raise InputError.of("photograph", str(path), "is not a file", "Check the path.")
+        raise InputError.of("photograph", str(path), "is not a file", _like(path))
     try:
         with path.open("rb") as stream:
             magic = stream.read(8)
@@ -107,6 +115,16 @@ def read_photograph(path: Path) -> Photograph:
             f"cannot be decoded ({first_line(error)})",
             "It is truncated, damaged or no image; copy it again from the camera.",
         ) from error
+
+
+def _like(path: Path) -> str:
+    """What to do about a picture that is not there: the file that was meant, where one is named much like it."""
+    number = re.findall(r"\d+", path.name)  # 11.png is not meant by 12.png
+    try:
+        there = [found.name for found in itertools.islice(path.parent.iterdir(), 10_000)]
+    except OSError:
+        return "Check the path."
+    return nearest(path.name, [x for x in there if re.findall(r"\d+", x) == number]) or "Check the path."
 
 
 def _reader(path: Path, magic: bytes) -> Callable[[Path], Photograph]:
@@ -170,7 +188,8 @@ def _pillow(path: Path) -> Photograph:
         if getattr(image, "n_frames", 1) > 1:
             raise InputError.of("photograph", path.name, "holds several pictures", "Give one picture a file.")
         kind, info = image.format, dict(image.info)
-        exposure = _exif(image.getexif().get_ifd(0x8769))
+        tags = image.getexif()
+        exposure, turned = _exif(tags.get_ifd(0x8769)), tags.get(_ORIENTATION, 1) not in (0, 1)
         image.load()
         deep = kind == "PNG" and _png_depth(path) == 16 and image.mode not in ("I", "I;16", "I;16B", "F")
         if deep:
@@ -188,7 +207,7 @@ def _pillow(path: Path) -> Photograph:
         linear = False
     elif "gamma" in info:
         linear = True
-    return Photograph(path.name, values, _full_scale(values), exposure, linear, notes)
+    return Photograph(path.name, values, _full_scale(values), exposure, linear, notes, turned)
 
 
 def _png_depth(path: Path) -> int:
@@ -250,7 +269,8 @@ def _tiff(path: Path) -> Photograph:
         if page.planarconfig == 2 and array.ndim == 3:
             array = np.moveaxis(array, 0, -1)
     values, notes = _channels(path, array)
-    return Photograph(path.name, values, _full_scale(values), _exif(tags), None, notes)
+    turned = tags.get(_ORIENTATION, 1) not in (0, 1)
+    return Photograph(path.name, values, _full_scale(values), _exif(tags), None, notes, turned)
 
 
 def _exr(path: Path) -> Photograph:
@@ -298,4 +318,20 @@ def _developed(path: Path, raw: Any) -> Photograph:
     )
     other = raw.other
     exposure = Exposure(other.shutter_speed or None, other.iso_speed or None, other.aperture or None)
-    return Photograph(path.name, values, 65535.0, exposure, True, ("demosaiced: neighbouring pixels share noise",))
+    return Photograph(
+        path.name,
+        values,
+        65535.0,
+        exposure,
+        True,
+        ("demosaiced: neighbouring pixels share noise",),
+        raw.sizes.flip != 0,
+    )
+
+
+def eight_bit(picture: Photograph) -> NDArray[np.uint8]:
+    """Stored values as 8 bits."""
+    if picture.values.dtype == np.uint8:
+        return picture.values
+    share = picture.values / (picture.full_scale if np.isfinite(picture.full_scale) else 1.0)
+    return np.asarray(np.round(255 * np.clip(share, 0, 1)), dtype=np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.acquire import photographs_check as check
 from livlab.acquire.calibration import Board, CameraCalibration, calibrate_camera
 from livlab.acquire.calibration_chart import ColourCalibration, calibrate_colour
 from livlab.acquire.lights import Highlight, distant_direction, mirror_highlight, near_position
@@ -16,8 +18,8 @@ from livlab.acquire.linearity import Linearity, Response, debevec, from_exposure
 from livlab.acquire.outline import FloatArray
 from livlab.acquire.photographs import Frames, PhotographedRig, with_matte_intensities
 from livlab.acquire.photographs_folder import TO_CAMERA, channel_names, tilt_covariance
-from livlab.acquire.photographs_merge import Development, Merged, estimate_noise, flat_field, merge
-from livlab.acquire.photographs_read import Photograph, read_photograph
+from livlab.acquire.photographs_merge import Development, Merged, coloured, estimate_noise, flat_field, merge
+from livlab.acquire.photographs_read import Photograph, eight_bit, read_photograph
 from livlab.acquire.pose import SpherePose, all_round, sphere_pose
 from livlab.acquire.rig_file import (
     FrameTable,
@@ -53,6 +55,8 @@ class _Loader:
     folder: Path
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    turned: dict[str, None] = field(default_factory=dict)
+    mirrors: list[Sphere] = field(default_factory=list)
 
     def load(self) -> PhotographedRig:
         rig = self.rig
@@ -73,7 +77,7 @@ class _Loader:
         def develop(k: int) -> Merged:
             pictures = [self._read(name) for name in rig.light[k].images]
             merged = self._without_stray(merge(pictures, exposures[k], development))
-            return _coloured(merged, colour, grey=grey)
+            return coloured(merged, colour, grey=grey)
 
         frames = Frames(develop, len(rig.light), (rows, columns, count))
         camera, calibration = self._camera(columns, rows)
@@ -84,6 +88,7 @@ class _Loader:
         if rig.mask is not None:
             picture = self._sized(rig.mask, (rows, columns)).values.mean(axis=2)
             mask = np.asarray(picture > 0.5 * picture.max())
+        self._doubt(camera, sphere)
         focal = rig.camera.focal_sd
         if calibration is not None:
             focal = float(np.sqrt(calibration.covariance[0, 0]) / camera.matrix[0, 0])
@@ -105,12 +110,25 @@ class _Loader:
             linearity=linearity,
             highlights=highlights,
             calibration=calibration,
+            cut=rig.sphere.cut,
             colour=colour,
             corrected=self._corrected(calibration, linearity),
             files={f"light {k}": list(light.images) for k, light in enumerate(rig.light)},
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
         )
+
+    def _doubt(self, camera: Camera, sphere: Sphere) -> None:
+        self.warnings += check.turned(list(self.turned))
+        mirrors = [ball.centre_mm for ball in self.mirrors]
+        if self.rig.sphere.radius_mm is not None:
+            self.warnings += check.sizes(sphere.radius_mm, sphere.centre_mm, mirrors, orthographic=camera.orthographic)
+        long = [math.hypot(*x.direction) for x in self.rig.light if x.direction is not None]
+        if long and not 0.99 < min(long) <= max(long) < 1.01:
+            self.notes.append(
+                f"Light directions of length {min(long):.4g} to {max(long):.4g} are scaled to 1. Angles in degrees are "
+                "said by direction_deg, places by position_mm."
+            )
 
     def _corrected(self, calibration: CameraCalibration | None, linearity: Linearity | None) -> frozenset[str]:
         rig = self.rig
@@ -125,7 +143,10 @@ class _Loader:
         return frozenset(name for name, there in given.items() if there)
 
     def _read(self, name: str) -> Photograph:
-        return read_photograph(within(self.folder, name))
+        found = read_photograph(within(self.folder, name))
+        if found.turned:
+            self.turned[found.name] = None
+        return found
 
     def _sized(self, name: str, size: tuple[int, int]) -> Photograph:
         picture = self._read(name)
@@ -170,7 +191,7 @@ class _Loader:
             if table.stack.exposures is not None:
                 exposures = list(table.stack.exposures)
         if table.kind == "debevec":
-            codes = [_eight(p) for p in stack]
+            codes = [eight_bit(p) for p in stack]
             answer = debevec(codes, exposures)
             low, high = (float(np.percentile(codes, q)) / 255 for q in (0.5, 99.5))
             if high < 0.9:
@@ -271,7 +292,9 @@ class _Loader:
         else:
             frame = all_round(frames[k].value for k in range(frames.count))
             kind = table.kind or ("all-round" if frames.count > 2 else "single")
-        pose = sphere_pose(frame, camera, table.radius_mm, kind=kind, near=near, radius_sd_mm=table.radius_sd_mm)
+        pose = sphere_pose(
+            frame, camera, table.radius_mm, kind=kind, near=near, radius_sd_mm=table.radius_sd_mm, cut=table.cut
+        )
         self.notes += pose.notes
         return pose, pose.sphere, pose.covariance
 
@@ -292,8 +315,8 @@ class _Loader:
             if table.position_mm is not None:
                 at, covariance = self._vector(table.position_mm), table.sd_mm**2 * np.eye(3)
                 lights.append(Light(intensity, None, at, table.solid_angle_sr))
-            elif table.direction is not None:
-                d = self._vector(table.direction) / np.linalg.norm(table.direction)
+            elif (towards := table.towards(self.rig.frame)) is not None:
+                d = np.array(towards)
                 covariance = tilt_covariance(d, float(np.deg2rad(table.sd_deg)))
                 lights.append(Light(intensity, d, None, table.solid_angle_sr))
             elif self.rig.lights_are == "near":
@@ -325,6 +348,7 @@ class _Loader:
             radius_sd_mm=table.radius_sd_mm,
         )
         self.notes += [f"Mirror ball: {note}" for note in pose.notes]
+        self.mirrors.append(pose.sphere)
         found = []
         for name in table.images:
             value, _, clipped = development.linear(self._sized(name, size), 1.0)
@@ -354,7 +378,7 @@ class _Loader:
         else:
             picture = self._read(table.image or "")
             exposure = float(table.exposure or picture.exposure.value or 1.0)
-            merged = _coloured(self._without_stray(merge([picture], [exposure], development)), colour, grey=grey)
+            merged = coloured(self._without_stray(merge([picture], [exposure], development)), colour, grey=grey)
             u0, v0, u1, v1 = table.box or [0, 0, 0, 0]
             part = merged.value[v0:v1, u0:u1].reshape(-1, count)
             if u0 < 0 or v0 < 0 or not part.size or not np.isfinite(part).all():
@@ -366,23 +390,3 @@ class _Loader:
         light = lights[table.light]
         facing = light.intensity * light.at(sphere.centre_mm)[1] * table.cosine
         return np.broadcast_to(value * np.pi / (table.reflectance * facing), (count,)).copy(), table.sd
-
-
-def _eight(picture: Photograph) -> NDArray[np.uint8]:
-    if picture.values.dtype == np.uint8:
-        return picture.values
-    share = picture.values / (picture.full_scale if np.isfinite(picture.full_scale) else 1.0)
-    return np.asarray(np.round(255 * np.clip(share, 0, 1)), dtype=np.uint8)
-
-
-def _coloured(merged: Merged, colour: ColourCalibration | None, *, grey: bool) -> Merged:
-    value, variance = merged.value, merged.variance
-    if colour is not None:
-        if value.shape[2] != 3:
-            raise InputError.of("colour", value.shape, "needs pictures in RGB", "Leave the chart out.")
-        value = np.asarray(value @ colour.matrix.T.astype(np.float32))
-        variance = np.asarray(variance @ (colour.matrix.T**2).astype(np.float32))
-    if grey:
-        variance = variance.sum(axis=2, keepdims=True) / np.float32(value.shape[2] ** 2)
-        value = value.mean(axis=2, keepdims=True)
-    return replace(merged, value=value, variance=variance)

@@ -101,6 +101,7 @@ def sphere_pose(
     near: tuple[float, float, float] | None = None,
     radius_sd_mm: float = 0.0,
     depth_mm: float | None = None,
+    cut: bool = False,
 ) -> SpherePose:
     """Centre of a sphere of known radius from its outline in one frame.
 
@@ -122,6 +123,8 @@ def sphere_pose(
         Standard uncertainty of the radius, mm.
     depth_mm : float, optional
         Depth of the centre before an orthographic camera, which cannot see it; ten radii where absent.
+    cut : bool
+        Take a sphere of which a part lies outside the picture; the rest of its outline places it.
 
     Raises
     ------
@@ -151,7 +154,8 @@ def sphere_pose(
         refuse_second(found)
     if kind != "single" or best.support > 0.75:  # the terminator under one light is an ellipse
         refuse_flattened(image, camera, best.cone)
-    refuse_cut(camera, best)
+    if not cut:
+        refuse_cut(camera, best)
     if best.cone.residual_px > max(0.4, 0.008 * best.circle[2]):
         raise InputError.of(
             "frame",

@@ -6,6 +6,7 @@ The world is the camera's frame (x right, y down, z away from the camera, mm) un
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal, Self
@@ -73,6 +74,7 @@ class SphereTable(_Table):
     outline: FilePath | None = Field(None, description="Silhouette or mask; absent: the maximum over the lights.")
     kind: Literal["all-round", "silhouette", "single"] | None = Field(None, description="What the outline picture is.")
     near: Vector | None = Field(None, description="Roughly where it is: u, v, radius in px.")
+    cut: bool = Field(False, description="Take a sphere of which a part lies outside the pictures.")
     centre_mm: Vector | None = Field(None, description="Centre, where it is known.")
     centre_sd_mm: float = Field(0.0, ge=0, description="Standard uncertainty of a known centre.")
 
@@ -164,6 +166,9 @@ class LightTable(_Table):
     images: Annotated[list[FilePath], Field(min_length=1)] = Field(description="Its exposures of the sphere.")
     exposures: Annotated[list[Positive], Field(min_length=1)] | None = Field(None, description="Absent: from EXIF.")
     direction: Vector | None = Field(None, description="From the sphere to a distant light; scaled to unit length.")
+    direction_deg: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="Of a distant light: from the camera's direction, and round it from the right, 90 above."
+    )
     position_mm: Vector | None = Field(None, description="Of a near light.")
     sd_deg: float = Field(0.0, ge=0, description="Standard uncertainty of the direction, degrees.")
     sd_mm: float = Field(0.0, ge=0, description="Standard uncertainty of the position, mm.")
@@ -172,14 +177,35 @@ class LightTable(_Table):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if self.direction is not None and self.position_mm is not None:
-            raise InputError.of("light", "direction and position_mm", "must not both be given", "Keep one.")
+        given = [name for name in ("direction", "direction_deg", "position_mm") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise InputError.of("light", " and ".join(given), "must not both be given", "Keep one.")
+        if self.direction_deg is not None and not 0 <= self.direction_deg[0] <= 180:
+            bound = "must begin with 0 to 180 degrees from the camera's direction"
+            raise InputError.of("light.direction_deg", self.direction_deg, bound, "Say [from the camera, round it].")
         if self.direction is not None and not any(self.direction):
             raise InputError.of("light.direction", self.direction, "must not be 0", "Point it at the light.")
         if self.exposures is not None and len(self.exposures) != len(self.images):
             counts = f"{len(self.images)} images, {len(self.exposures)} exposures"
             raise InputError.of("light.exposures", counts, "must be one for each", "Mend the lists.")
         return self
+
+    @property
+    def placed(self) -> bool:
+        """Whether it says where it is."""
+        return any(x is not None for x in (self.direction, self.direction_deg, self.position_mm))
+
+    def towards(self, frame: str) -> tuple[float, float, float] | None:
+        """Unit vector to a distant light in the camera's frame (x right, y down, z away); None if none is said."""
+        if self.direction_deg is not None:
+            a, b = (math.radians(x) for x in self.direction_deg)
+            x, y, z = math.sin(a) * math.cos(b), math.sin(a) * math.sin(b), math.cos(a)
+            return x, -y, -z
+        if self.direction is None:
+            return None
+        length = math.hypot(*self.direction)
+        x, y, z = (component / length for component in self.direction)
+        return (x, y, z) if frame == "camera" else (x, -y, -z)
 
 
 class RigFile(_Table):
@@ -217,10 +243,9 @@ class RigFile(_Table):
                 counts = f"{len(mirror.images)} pictures, {len(self.light)} lights"
                 raise InputError.of(f"mirror[{k}].images", counts, "must be one for each light", "Mend the list.")
         for k, light in enumerate(self.light):
-            if light.direction is None and light.position_mm is None and not self.mirror:
-                raise InputError.of(
-                    f"light[{k}].direction", None, "is needed without a mirror ball", "Give direction or position_mm."
-                )
+            if not light.placed and not self.mirror:
+                remedy = "Give direction, direction_deg or position_mm."
+                raise InputError.of(f"light[{k}].direction", None, "is needed without a mirror ball", remedy)
         if self.lights_are == "near" and len(self.mirror) < 2 and any(x.position_mm is None for x in self.light):
             raise InputError.of("mirror", len(self.mirror), "near lights need two mirror balls", "Add a ball.")
         if self.white is not None and self.white.light >= len(self.light):

@@ -177,7 +177,7 @@ def refuse_cut(camera: Camera, best: Candidate) -> None:
             "frame",
             f"circle at ({u:.0f}, {v:.0f}) r {r:.0f} px",
             f"is cut by the frame: {share:.0%} of its outline lies outside",
-            "move the camera until the whole sphere is in view",
+            "move the camera until the whole sphere is in view, or take what is in view: cut = true under [sphere]",
         )
 
 

@@ -252,7 +252,10 @@ def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) ->
     table.add_row("scale", str(samples.attrs["scale"]))
     if rig.pose is not None:
         (u, v, r), sd = rig.pose.circle_px, rig.pose.circle_sd_px
-        table.add_row("sphere", f"({u:.2f}, {v:.2f}) px, radius {r:.2f} px; +- {sd[0]:.2f}, {sd[1]:.2f}, {sd[2]:.2f}")
+        where = f"({u:.2f}, {v:.2f}) px, radius {r:.2f} px; +- {sd[0]:.2f}, {sd[1]:.2f}, {sd[2]:.2f}"
+        if not rig.camera.orthographic:
+            where += f"; {rig.pose.sphere.radius_mm:g} mm, {np.linalg.norm(rig.pose.sphere.centre_mm):.4g} mm away"
+        table.add_row("sphere", where)
     if rig.highlights:
         worst = max(h.sd_rad for balls in rig.highlights for h in balls)
         table.add_row("light directions", f"from mirror balls, +- {np.rad2deg(worst):.2f} degrees at worst")
