@@ -13,7 +13,7 @@ from livlab.config import Experiment, parse_experiment
 from livlab.errors import DatasetError, InputError, LivlabError
 from livlab.runs import RESULT_VERSION, digest, execute, machine, read_manifest
 from livlab.runs_compare import FileVerdict, compare_file
-from livlab.runs_files import sha256, write_whole
+from livlab.runs_files import plain_file, sha256, write_whole
 from livlab.runs_work import Progress
 
 LARGEST_BYTES = 64 << 20
@@ -76,12 +76,15 @@ class Again:
         What is not as it was, whether or not it moved a number.
     files
         Each file of the result.
+    changed
+        Files of the first folder that were changed or lost after the run: what they say is not what the run wrote.
     """
 
     original: Original
     folder: Path
     differences: tuple[Difference, ...]
     files: tuple[FileVerdict, ...]
+    changed: tuple[str, ...] = ()
 
     @property
     def same(self) -> bool:
@@ -99,7 +102,8 @@ class Again:
         """As a notebook shows it."""
         return markup.card(
             f"{self.original.name}, again",
-            "the results are the same" if self.same else "the results differ",
+            ("the results are the same" if self.same else "the results differ")
+            + (f"; changed since the run: {', '.join(self.changed)}" if self.changed else ""),
             markup.table(
                 ["file", "result", "where, and by how much"], [(f.name, f.verdict, f.detail) for f in self.files]
             ),
@@ -200,7 +204,7 @@ def run_again(
         listed = "; ".join(map(str, before))
         raise DatasetError(
             f"{original.name} cannot be rebuilt: {error.message}" + (f" What differs: {listed}." if listed else ""),
-            remedy=error.remedy,
+            remedy=_wanted(original) or error.remedy,
         ) from error
     made = read_manifest(outcome.folder)
     then = original.manifest
@@ -218,9 +222,48 @@ def run_again(
             name, there, new if name in made["files"] else None, known.get(name, ""), bare.get(name, "")
         )
         files.append(verdict)
-    again = Again(original, outcome.folder, differences, tuple(files))
+    again = Again(original, outcome.folder, differences, tuple(files), changed_since(original))
     write_whole(outcome.folder / "rerun.json", json.dumps(as_record(again), indent=2, ensure_ascii=False) + "\n")
     return again
+
+
+def changed_since(original: Original) -> tuple[str, ...]:
+    """Files of the original's folder that are not as its manifest says: edited, damaged or taken away since.
+
+    Nothing is said of a manifest that lies alone.
+    """
+    known = {name: sha for name, sha in original.manifest["files"].items() if name != "manifest.json"}
+    if not any((original.folder / name).exists() for name in known):
+        return ()
+    return tuple(
+        name
+        for name, sha in known.items()
+        if not plain_file(original.folder, name) or sha256(original.folder / name) != sha
+    )
+
+
+def _wanted(original: Original) -> str:
+    """What to ask the run's authors for: datasets that are not here as they were then."""
+    from livlab import datasets
+
+    then = original.manifest["datasets"]
+    gone = []
+    for name in original.experiment.datasets():
+        try:
+            found = datasets.load(name).meta.sha256
+        except datasets.ReferenceUnavailable:
+            continue
+        except LivlabError:
+            found = ""
+        if found != then.get(name, found):
+            gone.append(f"{name} (SHA-256 of its table.csv: {then[name]})")
+    if not gone:
+        return ""
+    root = datasets.user_root() or "the folder that LIVLAB_DATA names"
+    return (
+        f"Ask the authors of the run for the folder of {'; '.join(gone)}, with table.csv and meta.toml in it, "
+        f"and put it into {root}."
+    )
 
 
 def as_record(again: Again) -> dict[str, Any]:
@@ -229,6 +272,7 @@ def as_record(again: Again) -> dict[str, Any]:
         "original": str(again.original.folder),
         "folder": str(again.folder),
         "same": again.same,
+        "changed": list(again.changed),
         "differences": [{"what": d.what, "then": d.then, "now": d.now} for d in again.differences],
         "files": [{"name": f.name, "verdict": f.verdict, "detail": f.detail} for f in again.files],
     }
@@ -310,4 +354,13 @@ def _own_version() -> str:
     return __version__
 
 
-__all__ = ["Again", "Difference", "Original", "as_record", "differences_now", "read_original", "run_again"]
+__all__ = [
+    "Again",
+    "Difference",
+    "Original",
+    "as_record",
+    "changed_since",
+    "differences_now",
+    "read_original",
+    "run_again",
+]

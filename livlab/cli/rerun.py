@@ -33,7 +33,10 @@ def rerun(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the new folder.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Run a run again from its manifest and compare the results byte by byte; exit status 1 if they differ."""
+    """Run a run again from its manifest and compare the results byte by byte.
+
+    Exit status 1 if they differ, or if a file of RUN was changed since.
+    """
     from livlab.cli.progress import watched
     from livlab.runs_again import as_record, read_original, run_again
 
@@ -49,7 +52,7 @@ def rerun(
         if not quiet:
             _show(again)
         typer.echo(again.folder)
-    if not again.same:
+    if not again.same or again.changed:
         raise typer.Exit(1)
 
 
@@ -66,5 +69,9 @@ def _show(again: Again) -> None:
         console.print(f"not as it was: {difference}", markup=False, highlight=False)
     if not again.same and not again.differences:
         console.print("Versions, datasets and machine are as they were; what differs is the run itself.")
+    for name in again.changed:
+        gone = "lost" if not (again.original.folder / name).exists() else "changed"
+        told = f"{gone} since the run: {name}. What it says is not what the run wrote; {again.folder / name} is."
+        console.print(told, style="bold red", markup=False, highlight=False, soft_wrap=True)
     told = "The results are the same." if again.same else "The results differ."
     console.print(told, style="bold green" if again.same else "bold red", highlight=False)

@@ -72,17 +72,17 @@ def find_table(lines: Sequence[Line], is_number: Callable[[str], bool], is_gap: 
     def value(cell: str) -> bool:
         return is_number(cell) or is_gap(cell)
 
-    start = next((k for k, (_, cells) in enumerate(lines) if value(cells[0])), None)
-    if start is None:  # no row of numbers at all: the first line is the heading, and the reader names the fault below
+    first = next((k for k, (_, cells) in enumerate(lines) if value(cells[0])), None)
+    if first is None:  # no row of numbers at all: the first line is the heading, and the reader names the fault below
         return Found(lines[0], units_of(lines[0][1]), list(lines[1:]), ())
-    width = len(lines[start][1])
+    width = len(lines[first][1])
 
     def faulty_row(k: int) -> bool:
         cells = lines[k][1]
         slip = len(cells) == width > 1 and any(map(value, cells[1:]))
-        return slip and (k == start - 1 > 0 or number_led(cells[0]))
+        return slip and (k == first - 1 or number_led(cells[0]))
 
-    start = next((k for k in range(1, start) if faulty_row(k)), start)
+    start = next((k for k in range(1, first) if faulty_row(k)), first)
     if start == 0:
         return Found(None, (), list(lines), ())
     head = start - 1

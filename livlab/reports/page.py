@@ -15,7 +15,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from livlab.reports import cost, figures
+from livlab.reports import cost, figures, reviewer
 from livlab.reports.bench import bench_section
 from livlab.reports.effects import simulated
 from livlab.reports.folder import RunData, read_run, sound
@@ -23,14 +23,12 @@ from livlab.reports.readings import readings_section
 from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
     Claims,
-    Code,
     Section,
     Text,
     claim_rows,
     from_frame,
     merge_readings,
     number,
-    records,
     with_error,
 )
 from livlab.runs_files import told_plainly, write_whole
@@ -152,10 +150,10 @@ def _sections(run: RunData, pictures: figures.Pictures) -> list[Section]:
     return [
         claims,
         *_body(run)(run, pictures),
-        _provenance(run),
+        reviewer.provenance(run),
         _cost(run, pictures),
         hard_cases(run.table("stress")),
-        _again(run),
+        reviewer.again(run),
     ]
 
 
@@ -291,14 +289,6 @@ def tissue_section(run: RunData) -> Section:
     return section
 
 
-def _provenance(run: RunData) -> Section:
-    section = Section("provenance", "Where every number came from")
-    table = run.table("provenance")
-    if len(table):
-        section.content.append(records(table, "Datasets this run used; each was checked against its hash.", "name"))
-    return section
-
-
 def _cost(run: RunData, pictures: figures.Pictures) -> Section:
     section = Section("cost", "What it cost")
     costs = run.table("costs")
@@ -347,25 +337,3 @@ def _every_solver(run: RunData, pictures: figures.Pictures, section: Section) ->
     section.content.append(Text(cost.sentence(table)))
     shown = ["solver", "samples", "seconds", "error", "stated", "valid", "notes"]
     section.content.append(from_frame(table, "Every solver tried.", only=shown, folded="The numbers"))
-
-
-def _again(run: RunData) -> Section:
-    m = run.manifest
-    section = Section("rerun", "How to run it again")
-    section.content.append(Code(str(m.get("command", "livlab run"))))
-    machine = {
-        key: m[key]
-        for key in ("livlab", "python", "platform", "cores", "memory_gib", "libllvm", "variant", "seed", "started")
-        if m.get(key) not in (None, "")
-    }
-    packages = m.get("packages", {})
-    frame = pd.DataFrame(
-        [(k.replace("_", " "), number(v) if not isinstance(v, str) else v) for k, v in machine.items()],
-        columns=["what", "value"],
-    )
-    section.content.append(from_frame(frame, "The machine and the versions the numbers were made with."))
-    if packages:
-        versions = pd.DataFrame(sorted(packages.items()), columns=["package", "version"])
-        section.content.append(from_frame(versions, "Package versions.", folded="Package versions"))
-    section.content.append(Code(run.config_text, folded="The experiment in full, every default written out"))
-    return section

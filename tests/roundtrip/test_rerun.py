@@ -179,8 +179,13 @@ def test_a_tampered_dataset_stops_it_and_the_message_names_it(run: Path, data: P
     with pytest.raises(DatasetError, match=r"my_liver has been changed.*livlab: 0.0.1 then.*my_liver"):
         call("rerun", str(run))
     shutil.rmtree(data / "my_liver")
-    with pytest.raises(DatasetError, match="no dataset 'my_liver'"):
+    with pytest.raises(DatasetError, match="no dataset 'my_liver'") as told:
         call("rerun", str(run))
+    sha256 = read_manifest(run)["datasets"]["my_liver"]
+    assert f"Ask the authors of the run for the folder of my_liver (SHA-256 of its table.csv: {sha256})" in str(
+        told.value
+    )
+    assert str(data) in told.value.remedy
 
 
 def test_numbers_that_differ_are_told_with_their_size(run: Path) -> None:
@@ -213,7 +218,22 @@ def test_a_changed_seed_does_not_pass(run: Path) -> None:
 
 def test_a_file_changed_since_the_run_does_not_hide_that_the_result_is_the_same(run: Path) -> None:
     (run / "spectra.csv").write_text("reading\nmine\n")
-    assert run_again(read_original(run), report=False).same
+    (run / "result.nc").unlink()
+    again = run_again(read_original(run), report=False)
+    assert again.same
+    assert again.changed == ("result.nc", "spectra.csv")
+
+
+def test_a_claim_changed_by_hand_is_found(run: Path) -> None:
+    claims = run / "claims.csv"
+    verdict = "PASS" if ",PASS," in claims.read_text() else "FAIL"
+    claims.write_text(claims.read_text().replace(f",{verdict},", ",MISSING,", 1))
+    code, said = call("rerun", str(run), "--no-report")
+    told = " ".join(said.split())
+    assert code == 1
+    assert "changed since the run: claims.csv." in told
+    assert "The results are the same." in told
+    assert json.loads(call("rerun", str(run), "--json", "--no-report")[1])["changed"] == ["claims.csv"]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.999])
