@@ -16,7 +16,7 @@ from livlab.config import check_experiment
 from livlab.criteria import format_with_error
 from livlab.errors import InputError
 from livlab.model.tissue.readings import READINGS, Reading
-from livlab.model.tissue.tissue import Tissue, override
+from livlab.model.tissue.tissue import Tissue
 from livlab.study.fit_targets import Loss, Scaling, Target
 from livlab.units import FloatArray
 
@@ -27,9 +27,11 @@ if TYPE_CHECKING:
 
     from livlab.config_fit import FitExperiment
     from livlab.study.fit import FitOutcome
+    from livlab.study.fit_setup import Curve
 
-Bounds = tuple[float, float] | tuple[float, float, float] | Mapping[str, Any]
-"""Of a parameter: (low, high), (low, high, start), or a table as [[parameter]] in docs/studies.md."""
+Bounds = tuple[float, float] | tuple[float, float, float] | Mapping[str, Any] | Sequence[Mapping[str, Any]]
+"""Of a parameter: (low, high), (low, high, start), or a table as [[parameter]] in docs/studies.md; a list of tables
+where the tissues measured have each its own (`only`)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,15 +44,16 @@ class FitResult:
         Index label; path, unit, value, lower, upper, sd, drift, status, and `open`: ends that are bounds which the data
         do not exclude.
     scores
-        Index measurement; points, rmse, pearson of the normalised curves, and the same at the start.
+        Index measurement; role, points, rmse, pearson of the normalised curves, and the same at the start (nan where
+        the last walk cannot answer for the start).
     correlation
         Of the free parameters.
-    spectrum
-        The model at the optimum, not normalised.
+    spectrum, spectra
+        The model at the optimum, not normalised: of the first measurement's tissue, and of each measurement's by label.
     measured
-        The curves that were fitted, by label.
-    tissue, reading
-        The fitted tissue, and how it is read.
+        The curves that were given, by label.
+    tissue, tissues, reading
+        The fitted tissue of the first measurement, of each measurement by label, and how it is read.
     level
         Coverage of the intervals.
     notes
@@ -70,6 +73,9 @@ class FitResult:
     notes: tuple[str, ...]
     outcome: FitOutcome
     targets: tuple[Target, ...] = field(default=())
+    spectra: dict[str, Spectrum] = field(default_factory=dict)
+    tissues: dict[str, Tissue] = field(default_factory=dict)
+    joint: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __bool__(self) -> bool:
         return self.outcome.settled
@@ -117,9 +123,9 @@ class FitResult:
         from livlab.api.draw import axes
 
         ax = axes(ax)
-        grid = self.spectrum.wavelength_nm
+        grid = np.resize(self.spectrum.wavelength_nm, len(self.joint))
         for k, target in enumerate(self.targets):
-            model, data, sigma = target.normalised(self.spectrum.value)
+            model, data, sigma = target.normalised(self.joint)
             x = grid[target.use]
             (line,) = ax.plot(x, data, "o", ms=3.5, label=f"{target.label}, measured")
             if np.isfinite(sigma).any():
@@ -144,6 +150,7 @@ def fit(
     band_nm: tuple[float, float] | None = None,
     scaling: Scaling = "max",
     loss: Loss = "rmse",
+    measurements: Mapping[str, Mapping[str, Any]] | None = None,
     level: float = 0.95,
     seed: int = 1,
     search: Mapping[str, Any] | None = None,
@@ -159,7 +166,8 @@ def fit(
     measured
         A spectrum (`Spectrum`, (wavelengths, values), pandas, colour-science, a CSV's path), or several by label.
     parameters
-        By path in the tissue: {"layers.parenchyma.elements.blood.fraction": (0.01, 0.15)}; see `Bounds`.
+        By path in the tissue: {"layers.parenchyma.elements.blood.fraction": (0.01, 0.15)}; see `Bounds`. Where two
+        measured tissues differ: {path: [{"low": 0, "high": 1, "label": "a", "only": ["clamped"]}, ...]}.
     tissue, state, variant, changes
         As `livlab.tissue`; what is not fitted.
     reading
@@ -172,6 +180,9 @@ def fit(
         "max" or "sum" (shapes), "none" (absolute), "free" (the best factor).
     loss
         "rmse", "chi2" (needs standard errors), "pearson" or "colour".
+    measurements
+        What differs from that for single curves, by label, as [[measurement]] in docs/studies.md: band_nm, scaling,
+        loss, weight, sd, relative_sd, role ("check": not fitted, looked at), set (values by path of that tissue).
     level
         Coverage of the intervals.
     seed
@@ -188,8 +199,8 @@ def fit(
     EnvironmentProblem
         There is no usable libLLVM.
     """
-    from livlab.acquire.forward import LedgerForward
-    from livlab.study.fit import fit as search_for
+    from livlab.study import fit_tables
+    from livlab.study.fit_setup import FitSetup, scene_of
 
     curves = _curves(measured)
     first = next(iter(curves.values()))
@@ -208,51 +219,42 @@ def fit(
             "seed": seed,
             "variant": device,
         },
-        scaling,
-        loss,
+        {label: _asked(measurements, curves, label, scaling, loss) for label in curves},
     )
-    targets = tuple(_target(label, s, grid, scaling, loss) for label, s in curves.items())
-    chosen, wanted = config.tissue.build(), config.parameters()
-    forward = LedgerForward(
-        chosen,
-        config.reading,
-        grid,
-        config.instrument,
-        [p.name for p in wanted],
-        standard_error=config.search.standard_error,
-        variant=config.variant,
-    )
-    found = search_for(
-        forward,
-        targets,
-        wanted,
-        algorithm="auto" if config.search.algorithm == ("auto",) else config.search.algorithm,
-        starts=config.search.starts,
-        seed=config.seed,
-        max_evaluations=config.search.max_evaluations,
-        max_seconds=config.search.max_seconds,
-        most_recordings=config.search.most_recordings,
-        level=config.level,
-    )
-    best = forward.answer(found.best)
-    begun = forward.answer(found.space.values(found.space.vector({})))
-    labels = config.labels()
-    said = [*forward.stack(found.best).notes, *found.notes, *found.verdict.sentences]
-    for path, label in labels.items():
-        said = [text.replace(path, label) for text in said]
+    setup = FitSetup.of(config, {label: _curve(s, grid) for label, s in curves.items()})
+    found = setup.search()
+    best, begun = setup.curves(found)
+    labels, scenes = config.labels(), config.scenes()
+    tissues = {label: setup.tissue(label, found.best) for label in curves}
+    spectra = {}
+    for label in curves:
+        place = scene_of(scenes, label)
+        part_of = slice(place * len(grid), (place + 1) * len(grid))
+        spectra[label] = Spectrum(
+            grid, best.value[part_of], best.standard_error[part_of], f"{tissues[label].name}, fitted"
+        )
+    one = config.measurement[0].label
     return FitResult(
-        _table(config, found),
-        _scores(targets, best.value, begun.value),
+        _frame(fit_tables.intervals(config, found), "parameter", _INTERVALS),
+        _frame(fit_tables.scores(config, setup.targets, best.value, begun), "measurement", _SCORES),
         found.covariance.correlation.rename(index=labels, columns=labels),
-        Spectrum(grid, best.value, best.standard_error, f"{chosen.name}, fitted"),
+        spectra[one],
         curves,
-        override(chosen, found.best, by="fit"),
+        tissues[one],
         config.reading,
         level,
-        tuple(dict.fromkeys(said)),
+        tuple(setup.said(found)),
         found,
-        targets,
+        tuple(setup.targets.values()),
+        spectra,
+        tissues,
+        best.value,
     )
+
+
+_INTERVALS = ("path", "unit", "value", "lower", "upper", "sd", "drift", "status", "open")
+_SCORES = ("role", "points", "rmse", "pearson", "rmse_start", "pearson_start")
+_WORDS = {"path", "unit", "status", "open", "role"}
 
 
 def _curves(measured: Any) -> dict[str, Spectrum]:
@@ -265,10 +267,43 @@ def _curves(measured: Any) -> dict[str, Spectrum]:
     return {one.name.strip()[:80] or "measured": one}
 
 
+def _asked(
+    given: Mapping[str, Mapping[str, Any]] | None,
+    curves: Mapping[str, Spectrum],
+    label: str,
+    scaling: str,
+    loss: str,
+) -> dict[str, Any]:
+    """A curve as a [[measurement]]; it is named, not looked up, and brings its own errors.
+
+    Raises
+    ------
+    InputError
+        Something said of a curve that there is none of, or that the curve itself says.
+    """
+    from livlab.config_errors import nearest
+
+    for name, said in (given or {}).items():
+        if name not in curves:
+            hint = nearest(name, curves) or f"Known: {', '.join(curves)}."
+            raise InputError.of("measurements", name, "names no curve", hint)
+        taken = next((k for k in ("label", "dataset", "column", "sd_column", "subjects") if k in said), None)
+        if taken is not None:
+            raise InputError.of(f"measurements[{name!r}]", taken, "is the curve's own", "Leave it out.")
+    data = {"label": label, "dataset": "in-memory", "scaling": scaling, "loss": loss, **(given or {}).get(label, {})}
+    known = bool(np.isfinite(curves[label].standard_error).any())
+    if not {"sd", "relative_sd"} & set(data) and (known or data["loss"] == "chi2"):
+        data["sd_column"] = "standard_error"
+    return data
+
+
 def _experiment(
-    curves: Mapping[str, Spectrum], parameters: Mapping[str, Bounds], rest: dict[str, Any], scaling: str, loss: str
+    curves: Mapping[str, Spectrum],
+    parameters: Mapping[str, Bounds],
+    rest: dict[str, Any],
+    measurements: Mapping[str, dict[str, Any]],
 ) -> FitExperiment:
-    """The call as an experiment, so that it is checked as a file's would be; its curves are named, not looked up."""
+    """The call as an experiment, so that it is checked as a file's would be."""
     from livlab.config_fit import FitExperiment
 
     if not isinstance(parameters, Mapping) or not parameters:
@@ -276,13 +311,8 @@ def _experiment(
     data = {
         "kind": "fit",
         "name": "fit",
-        "parameter": [_parameter(path, bounds) for path, bounds in parameters.items()],
-        # An error of each point is looked up in the curve itself; the form wants one named where chi2 is asked.
-        "measurement": [
-            {"label": label, "dataset": "in-memory", "scaling": scaling, "loss": loss}
-            | ({"sd_column": "standard_error"} if loss == "chi2" else {})
-            for label in curves
-        ],
+        "parameter": [table for path, bounds in parameters.items() for table in _parameter(path, bounds)],
+        "measurement": list(measurements.values()),
         **rest,
     }
     found = check_experiment(data, source="livlab.fit").resolve()
@@ -290,11 +320,14 @@ def _experiment(
     return found
 
 
-def _parameter(path: str, bounds: Bounds) -> dict[str, Any]:
+def _parameter(path: str, bounds: Bounds) -> list[dict[str, Any]]:
     if isinstance(bounds, Mapping):
-        return {"path": path, **bounds}
+        return [{"path": path, **bounds}]
+    if isinstance(bounds, Sequence) and bounds and all(isinstance(b, Mapping) for b in bounds):
+        return [{"path": path, **b} for b in bounds]  # type: ignore[dict-item]
     if isinstance(bounds, Sequence) and len(bounds) in (2, 3):
-        return {"path": path, **dict(zip(("low", "high", "start"), (float(b) for b in bounds), strict=False))}
+        numbers = (float(b) for b in bounds)  # type: ignore[arg-type]
+        return [{"path": path, **dict(zip(("low", "high", "start"), numbers, strict=False))}]
     raise InputError.of(f"parameters[{path!r}]", bounds, "must be (low, high) or (low, high, start)", "Give bounds.")
 
 
@@ -308,38 +341,22 @@ def _tissue(given: TissueLike, state: str | None, variant: str, changes: Mapping
     return tissue(given, state=state, variant=variant, changes=changes)
 
 
-def _target(label: str, s: Spectrum, grid: FloatArray, scaling: Scaling, loss: Loss) -> Target:
-    inside = (grid >= s.wavelength_nm[0]) & (grid <= s.wavelength_nm[-1])
-    data, sigma = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
+def _curve(s: Spectrum, grid: FloatArray) -> Curve:
+    from livlab.study.fit_setup import Curve
+
+    ends = float(s.wavelength_nm[0]), float(s.wavelength_nm[-1])
+    inside = (grid >= ends[0]) & (grid <= ends[1])
+    data, sd = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
     data[inside] = s.at(grid[inside])
-    sigma[inside] = np.interp(grid[inside], s.wavelength_nm, s.standard_error)
-    colour = None
-    if loss == "colour":
-        from livlab.study.fit_job import lab_of
-
-        colour = lab_of(grid[inside])
-    return Target(label, inside, data, sigma, scaling, loss, 1.0, colour)
+    sd[inside] = np.interp(grid[inside], s.wavelength_nm, s.standard_error)
+    return Curve(data, sd, ends)
 
 
-def _table(config: FitExperiment, found: FitOutcome) -> pd.DataFrame:
-    frame = found.intervals().rename_axis("path").reset_index()
-    frame.insert(0, "parameter", [config.labels()[str(p)] for p in frame["path"]])
-    units = {p.path: p.unit for p in config.parameter}
-    frame["unit"] = [units[str(p)] for p in frame["path"]]
-    return frame.set_index("parameter")[["path", "unit", "value", "lower", "upper", "sd", "drift", "status", "open"]]
-
-
-def _scores(targets: Sequence[Target], best: FloatArray, first: FloatArray) -> pd.DataFrame:
+def _frame(rows: list[dict[str, object]], index: str, columns: tuple[str, ...]) -> pd.DataFrame:
     import pandas as pd
 
-    rows = {}
-    for target in targets:
-        now, before = target.scores(best), target.scores(first)
-        rows[target.label] = (target.size, now["rmse"], now["pearson"], before["rmse"], before["pearson"])
-    columns = ["points", "rmse", "pearson", "rmse_start", "pearson_start"]
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
-    frame.index.name = "measurement"
-    return frame
+    made = pd.DataFrame(rows).set_index(index)[list(columns)]
+    return made.astype({c: float for c in columns if c not in _WORDS and c != "points"})
 
 
 def _number(value: Any) -> float | None:

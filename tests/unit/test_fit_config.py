@@ -15,7 +15,7 @@ from study_texts import TISSUE
 from livlab.config import load_experiment, parse_experiment
 from livlab.errors import LivlabError
 from livlab.runs import execute
-from livlab.study import fit_job
+from livlab.study import fit_job, fit_setup
 
 HEAD = """
 schema = 1
@@ -131,10 +131,9 @@ def test_a_reference_shorter_than_the_band_is_compared_where_it_is() -> None:
     # The human curve begins at 500 nm: of 440 to 700 nm the last eleven points are compared, and the scores say so.
     text = source(BLOOD, HUMAN).replace("start_nm = 520", "start_nm = 440")
     config = parse_experiment(text)
-    target = fit_job._target(
-        config.measurement[0], fit_job._load(config.measurement[0]), config.wavelengths.grid(), 0, 1
-    )  # type: ignore[attr-defined]
-    assert target.size == 11
+    measurement, grid = config.measurement[0], config.wavelengths.grid()  # type: ignore[attr-defined]
+    found = fit_setup.target(measurement, fit_setup.Curve.known(fit_job._load(measurement), grid), grid, 0, 1)
+    assert found.size == 11
     refused(text.replace("stop_nm = 700", "stop_nm = 480"), "measurement human", "0 points")
     refused(text + "band_nm = [450, 600]\n", "human.band_nm", "beyond the curve, 500", "band_nm = [500, 600]")
 
@@ -143,7 +142,7 @@ def test_a_colour_over_a_wide_band_is_a_loss() -> None:
     # No liver curve here begins below 500 nm: the target is asked with a grid of its own.
     grid = np.arange(440.0, 721.0, 10.0)
     target = parse_experiment(source(BLOOD, HUMAN + 'loss = "colour"\n')).measurement[0]  # type: ignore[attr-defined]
-    lab = fit_job._colour(target, grid)
+    lab = fit_setup.colour_of(target, grid)
     assert lab is not None
     white = lab(np.ones(len(grid)))
     assert white == pytest.approx([100.0, 0.0, 0.0], abs=2.5)
