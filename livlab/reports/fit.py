@@ -83,7 +83,7 @@ def _verdict(run: RunData, found: pd.DataFrame) -> str:
     ]
     if bound:
         told.append(f"At a bound: {_and(bound)}; the optimum may lie beyond it.")
-    free = found[found["open"].fillna("") == "both"]["parameter"].tolist()
+    free = found[found["open"].astype(str) == "both"]["parameter"].tolist()
     if free:
         told.append(f"Not identifiable: {_and(free)}, whose interval reaches from bound to bound.")
     if a["verdict"] != "held" and held:

@@ -183,6 +183,7 @@ def from_frame(
     columns = []
     for name in names:
         numeric = bool(pd.api.types.is_numeric_dtype(frame[name]) and not pd.api.types.is_bool_dtype(frame[name]))
+        numeric = numeric and bool(frame[name].notna().any() or not len(frame))  # nothing at all may be words
         long = not numeric and frame[name].astype(str).str.len().max() > LONG_TEXT
         css = "num" if numeric else ("hash" if name in short else ("long" if long else ""))
         columns.append(Column((titles or {}).get(name, name.replace("_", " ")), numeric, css))
