@@ -5,8 +5,9 @@ Of n intervals at level p, n p hold the truth, give or take √(n p (1 − p)).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import sys
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,49 +22,12 @@ from livlab.study.fit_problem import Problem
 from livlab.study.fit_round_trip import Trip, round_trip
 from livlab.study.fit_targets import Target
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+
+from fit_forwards import Walked
+
 X = np.linspace(0.0, 2.0, 21)
 ALL = np.ones(21, dtype=bool)
-SMOOTH = np.exp(-0.5 * ((X[:, None] - X) / 0.5) ** 2) + 1e-9 * np.eye(21)
-ROOT = np.linalg.cholesky(SMOOTH)
-
-
-@dataclass(frozen=True, eq=False)
-class Reply:
-    value: Any
-    standard_error: Any
-    valid: Any
-    slopes: Any
-
-
-@dataclass
-class Walked:
-    """a e^(−k x) + c, with errors that hang together along the curve, drawn anew by each recording."""
-
-    sd: float = 0.01
-    told: float = 1.0
-    draw: Any = field(default_factory=lambda: np.zeros(21))
-
-    def record(
-        self,
-        centre: Mapping[str, float],
-        others: Sequence[Mapping[str, float]] = (),
-        *,
-        seed: int = 1,
-        coarser: float = 1.0,
-        progress: Any = None,
-    ) -> None:
-        self.draw = self.sd * coarser * (ROOT @ np.random.default_rng(seed).standard_normal(21))
-        self.scale = coarser
-
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Reply:
-        fall = np.exp(-values["k"] * X)
-        value = values["a"] * fall + values["c"] + self.draw
-        slopes = {"a": fall, "k": -X * values["a"] * fall, "c": np.ones(21)} if gradient else {}
-        return Reply(value, np.full(21, self.sd * self.scale), ALL, slopes)
-
-    def noise_covariance(self, values: Mapping[str, float]) -> Any:
-        return self.told * (self.sd * self.scale) ** 2 * SMOOTH
-
 
 SPACE = ParameterSpace([Parameter("a", 0.5, 3.0, 1.5), Parameter("k", 0.3, 3.0, 1.0, "log"), Parameter("c", 0.0, 1.0)])
 TARGET = Target("made", ALL, 1.0 + X, 0.03 * (1.0 + X), "none", "chi2")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
+from fit_forwards import Wave
 
 from livlab.errors import InputError
 from livlab.optimise import Parameter
@@ -16,37 +16,6 @@ from livlab.study.fit_targets import Target
 
 X = np.linspace(0.0, 2.0, 41)
 ALL = np.ones(41, dtype=bool)
-
-
-@dataclass(frozen=True, eq=False)
-class Reply:
-    value: Any
-    standard_error: Any
-    valid: Any
-    slopes: Any
-
-
-class Wave:
-    """a (2 + cos k x): the square of its difference from data has a valley at every beat of k."""
-
-    def record(
-        self,
-        centre: Mapping[str, float],
-        others: Sequence[Mapping[str, float]] = (),
-        *,
-        seed: int = 1,
-        coarser: float = 1.0,
-        progress: Any = None,
-    ) -> None:
-        pass
-
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Reply:
-        a, k = values["a"], values["k"]
-        value = a * (2.0 + np.cos(k * X))
-        slopes = {"a": value / a, "k": -a * X * np.sin(k * X)} if gradient else {}
-        if gradient and "b" in values:
-            slopes["b"] = np.zeros(41)
-        return Reply(value, np.zeros(41), ALL, slopes)
 
 
 PARAMETERS = [Parameter("a", 0.5, 2.0, 1.2), Parameter("k", 1.0, 20.0, 3.0)]
@@ -101,9 +70,8 @@ def test_a_flat_objective_is_told() -> None:
     nothing = Target("flat", ALL, np.full(41, 2.0), np.full(41, 0.05), "none", "chi2")
 
     class Flat(Wave):
-        def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Reply:
-            slopes = {"a": np.zeros(41), "k": np.zeros(41)} if gradient else {}
-            return Reply(np.full(41, 2.0), np.zeros(41), ALL, slopes)
+        def curve(self, values: Mapping[str, float]) -> tuple[Any, Any, dict[str, Any]]:
+            return np.full(41, 2.0), np.zeros(41), {"a": np.zeros(41), "k": np.zeros(41)}
 
     found = fit(Flat(), [nothing], PARAMETERS)
     assert found.verdict.verdict == "not held"
@@ -121,9 +89,9 @@ def test_one_point_cannot_hold_two_parameters_and_it_is_said() -> None:
 
 def test_an_objective_that_is_nan_everywhere_is_an_error() -> None:
     class Nan(Wave):
-        def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Reply:
+        def curve(self, values: Mapping[str, float]) -> tuple[Any, Any, dict[str, Any]]:
             none = np.full(41, np.nan)
-            return Reply(none, none, ALL, {"a": none, "k": none} if gradient else {})
+            return none, none, {"a": none, "k": none}
 
     with pytest.raises(InputError, match="finite"):
         fit(Nan(), [TARGET], PARAMETERS)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
+from fit_forwards import Decay
 
 from livlab.errors import InputError, Interrupted
 from livlab.optimise import Parameter
@@ -16,44 +15,6 @@ from livlab.study.fit_targets import Target
 
 X = np.linspace(0.0, 2.0, 41)
 ALL = np.ones(41, dtype=bool)
-
-
-@dataclass(frozen=True, eq=False)
-class Reply:
-    value: Any
-    standard_error: Any
-    valid: Any
-    slopes: Any
-
-
-@dataclass
-class Decay:
-    """a e^(−k x) + c k² x, times (1 + noise of each recording)."""
-
-    noise: float = 0.0
-    records: list[int] = field(default_factory=list)
-    draw: Any = field(default_factory=lambda: np.zeros(41))
-    dead: bool = False
-
-    def record(
-        self,
-        centre: Mapping[str, float],
-        others: Sequence[Mapping[str, float]] = (),
-        *,
-        seed: int = 1,
-        coarser: float = 1.0,
-        progress: Any = None,
-    ) -> None:
-        self.records.append(seed)
-        self.draw = self.noise * np.random.default_rng(seed).standard_normal(41)
-
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Reply:
-        a, k = values["a"], values["k"]
-        scale = 1.0 + self.draw
-        value = scale * a * np.exp(-k * X)
-        slopes = {"a": value / a, "k": -X * value} if gradient else {}
-        ok = np.full(41, not self.dead)
-        return Reply(value, self.noise * value, ok, slopes)
 
 
 PARAMETERS = [Parameter("a", 0.1, 10.0, 1.0, transform="log"), Parameter("k", 0.1, 5.0, 0.5)]
