@@ -71,17 +71,29 @@ def extract(
 
 
 def read(path: Path | str) -> xr.Dataset:
-    """Samples or a table from a file: .nc, .csv, .binary (MERL), .bsdf (Mitsuba), .alta (see `livlab.brdf.files`)."""
+    """Samples or a table from a file: .nc, .csv, .binary (MERL), .bsdf (Mitsuba), .alta, or a fit's .json.
+
+    See `livlab.brdf.files`.
+    """
     from livlab.brdf.files import read_brdf
 
     return read_brdf(Path(path))
 
 
-def write(path: Path | str, data: xr.Dataset, *, holes: Any = "refuse") -> Path:
-    """Write samples or a table, by the file's suffix; `holes` is "refuse", "fill" (marked) or "zero"."""
-    from livlab.brdf.files import write_brdf
+def write(path: Path | str, data: xr.Dataset | FitResult, *, holes: Any = "refuse") -> Path:
+    """Write samples, a table, or the model of a fit, by the file's suffix.
 
-    write_brdf(Path(path), data, holes=holes)
+    `holes` of a table are "refuse", "fill" (marked) or "zero"; a fitted model has none.
+    """
+    from livlab.brdf.files import write_brdf, write_fitted
+    from livlab.brdf.files_fit import Fitted
+    from livlab.brdf.fit_result import FitResult
+
+    if isinstance(data, FitResult):
+        values = {str(name): found.to_numpy() for name, found in data.parameters().items()}
+        write_fitted(Path(path), Fitted(data.model, values, data.layout.channels))
+    else:
+        write_brdf(Path(path), data, holes=holes)
     return Path(path)
 
 

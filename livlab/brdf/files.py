@@ -7,6 +7,7 @@
 | `.binary` | MERL's table | table | table, or samples merged in its cells |
 | `.bsdf` | Mitsuba's `measured` | table of its values at the cells' middles | table, or samples merged |
 | `.alta`, `.dat`, `.data`, `.txt` | ALTA's text | samples | not |
+| `.json` | a fitted model | table of its values at the cells' middles | by `livlab brdf fit` |
 """
 
 from pathlib import Path
@@ -16,6 +17,7 @@ import xarray as xr
 
 from livlab.brdf.files_alta import read_alta
 from livlab.brdf.files_csv import read_csv, write_csv
+from livlab.brdf.files_fit import Fitted, read_fit
 from livlab.brdf.files_merl import read_merl, write_merl
 from livlab.brdf.files_mitsuba import Holes, read_mitsuba, write_mitsuba
 from livlab.brdf.files_netcdf import check, read_netcdf, write_netcdf
@@ -25,7 +27,7 @@ from livlab.brdf.samples import sample_dataset
 from livlab.brdf.table import merge
 from livlab.errors import InputError
 
-READ = (".nc", ".csv", ".binary", ".bsdf", ".alta", ".dat", ".data", ".txt")
+READ = (".nc", ".csv", ".binary", ".bsdf", ".alta", ".dat", ".data", ".txt", ".json")
 WRITTEN = (".nc", ".csv", ".binary", ".bsdf")
 
 
@@ -48,6 +50,8 @@ def read_brdf(path: Path) -> xr.Dataset:
         material = read_mitsuba(path)
         table = tabulate(material.evaluate, Grid.uniform(), material.channels)
         return table.assign_attrs(source=f"Mitsuba file {path.name}: {material.description}")
+    if suffix == ".json":
+        return _tabulated(read_fit(path), Grid.uniform())
     if suffix in READ:
         return read_alta(path)
     raise InputError.of("path", path.name, f"must end in one of {', '.join(READ)}", "Rename it after its format.")
@@ -83,6 +87,28 @@ def write_brdf(path: Path, data: xr.Dataset, *, holes: Holes = "refuse") -> None
         write_merl(path, fill_holes(table) if holes == "fill" else table)
     else:
         write_mitsuba(path, merge(data) if samples else data, holes=holes)
+
+
+def write_fitted(path: Path, fitted: Fitted) -> None:
+    """Write a fitted model: evaluated where the format has its values, so that there are no holes.
+
+    `.bsdf` and `.binary` are evaluated at their own points, `.nc` and `.csv` at the middles of `Grid.uniform`'s cells.
+
+    Raises
+    ------
+    InputError
+        A suffix that is not written, or channels that the format does not have.
+    EnvironmentProblem
+        The file cannot be written; an old one stays as it was.
+    """
+    if path.suffix.lower() == ".bsdf":
+        write_mitsuba(path, fitted.evaluate, description=f"livlab, {fitted.model.name}")
+        return
+    write_brdf(path, _tabulated(fitted, Grid.merl() if path.suffix.lower() == ".binary" else Grid.uniform()))
+
+
+def _tabulated(fitted: Fitted, grid: Grid) -> xr.Dataset:
+    return tabulate(fitted.evaluate, grid, fitted.channels).assign_attrs(source=f"fitted model {fitted.model.name}")
 
 
 def cells_as_samples(table: xr.Dataset) -> xr.Dataset:

@@ -128,10 +128,17 @@ def pack(samples: xr.Dataset | Iterable[xr.Dataset], footprint: Footprint = "aut
         check_samples(part)
         found = _pack_one(part, footprint)
         if found.size:
-            parts.append(found)
+            parts.append(replace(found, notes=(*_scale_note(part), *found.notes)))
     if not parts:
         raise InputError.of("samples", 0, "hold no finite sample", "Check masks, exposure and lights.")
     return parts[0] if len(parts) == 1 else _joined(parts)
+
+
+def _scale_note(samples: xr.Dataset) -> tuple[str, ...]:
+    """That albedos and reflectances share an unknown factor, where no white reference gave the scale."""
+    if not str(samples.attrs.get("scale", "")).startswith("arbitrary"):
+        return ()
+    return ("no white reference: albedos and reflectances are known up to one common factor, and may exceed 1",)
 
 
 def _pack_one(samples: xr.Dataset, footprint: Footprint) -> Packed:

@@ -171,20 +171,25 @@ def plot(
 
 @app.command()
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="FROM", help=".nc, .csv, .binary, .bsdf, .alta, .txt.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="FROM", help=".nc, .csv, .binary, .bsdf, .alta, .txt, or a fit's .json.")
+    ],
     target: Annotated[Path, typer.Argument(metavar="TO", help=".nc, .csv, .binary or .bsdf.")],
     holes: Annotated[
         str, typer.Option("--holes", help="refuse, fill (marked) or zero; of .binary and .bsdf.")
     ] = "refuse",
 ) -> None:
-    """Convert between files of BRDFs."""
-    from livlab.brdf.files import read_brdf, write_brdf
+    """Convert between files of BRDFs; of a fit the model is written, which has no holes."""
+    from livlab.brdf.files import read_brdf, write_brdf, write_fitted
+    from livlab.brdf.files_fit import read_fit
 
     _writable(target, (".nc", ".csv", ".binary", ".bsdf"))
     if holes not in ("refuse", "fill", "zero"):
         raise InputError.of("--holes", holes, "must be refuse, fill or zero", "Choose one.")
-    data = read_brdf(source)
-    write_brdf(target, data, holes=holes)  # type: ignore[arg-type]
+    if source.suffix.lower() == ".json":
+        write_fitted(target, read_fit(source))
+    else:
+        write_brdf(target, read_brdf(source), holes=holes)  # type: ignore[arg-type]
     typer.echo(f"Written to {target}")
 
 
