@@ -28,7 +28,11 @@ def explain(
     """One `ConfigError` for a pydantic `ValidationError`: every trouble with its line, path, value, bound, remedy."""
     lines = locate(text)
     found: list[tuple[str, str]] = []
-    for item in error.errors(include_url=False):
+    items = error.errors(include_url=False)
+    for item in items:
+        inside = [x["loc"] for x in items if len(x["loc"]) > len(item["loc"])]
+        if item["type"] == "too_short" and any(loc[: len(item["loc"])] == item["loc"] for loc in inside):
+            continue  # what is wrong within is told; that nothing right is left follows from it
         path = _path_in(item["loc"], data, absent=item["type"] == "missing")
         message, remedy = _one(dict(item), path, data, schema)
         cause = (item.get("ctx") or {}).get("error")

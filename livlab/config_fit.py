@@ -278,7 +278,7 @@ class FitExperiment(Experiment):
                 raise InputError.of(
                     "parameter",
                     ", ".join(f"{p.name} = {start[p.key]:g}" for p in self.parameter),
-                    f"is no tissue at the start: {error.message}",
+                    f"is no tissue at the start: {error.message.rstrip('.')}",
                     error.remedy or "Mend the path or the start.",
                 ) from None
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from livlab import markup
+from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.api.sources import as_spectrum
 from livlab.criteria import format_value, format_with_error
@@ -104,6 +105,7 @@ class Comparison:
         return ax
 
 
+@explained
 def compare(
     first: Any,
     second: Any,
@@ -141,9 +143,10 @@ def compare(
     low, high = max(low, b.wavelength_nm[0]), min(high, b.wavelength_nm[-1])
     grid = a.wavelength_nm[(a.wavelength_nm >= low) & (a.wavelength_nm <= high)]
     if len(grid) < 2:
+        one, other_range = (f"{x.wavelength_nm[0]:g}–{x.wavelength_nm[-1]:g} nm" for x in (a, b))
         raise InputError.of(
-            "band_nm", band_nm or (float(low), float(high)),
-            f"leaves {len(grid)} wavelengths of {a.name} that {b.name} covers", "Compare curves that overlap.",
+            "band_nm", band_nm, f"leaves {len(grid)} wavelengths of {a.name} ({one}) that {b.name} "
+            f"({other_range}) covers", "Compare curves that overlap, in a band (low, high) that both have.",
         )  # fmt: skip
     x = a.between(float(grid[0]), float(grid[-1]))
     other = Spectrum.of(grid, b.at(grid), np.interp(grid, b.wavelength_nm, b.standard_error), name=b.name)

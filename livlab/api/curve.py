@@ -137,20 +137,21 @@ class Spectrum:
 
     @classmethod
     def from_pandas(cls, series: pd.Series | pd.DataFrame, *, name: str | None = None) -> Spectrum:
-        """From a series whose index is the wavelength in nm, or a frame with columns value and standard_error.
+        """From a series whose index is the wavelength in nm, or a frame.
+
+        Of a frame the wavelengths are the column called so, else the index; the curve is the column `value`, else the
+        only one beside standard deviations; `standard_error` is taken where it is. Percent becomes a ratio.
 
         >>> import pandas as pd
         >>> Spectrum.from_pandas(pd.Series([0.1, 0.2], index=[500, 510], name="a")).name
         'a'
+        >>> Spectrum.from_pandas(pd.DataFrame({"Wavelength (nm)": [500, 510], "R (%)": [10, 20]})).value.tolist()
+        [0.1, 0.2]
         """
-        if hasattr(series, "columns"):
-            if "value" not in series.columns:
-                raise InputError.of(
-                    "columns", list(series.columns), "must hold 'value'", "Name the column, or pass it."
-                )
-            error = series["standard_error"] if "standard_error" in series.columns else None
-            return cls.of(series.index, series["value"], error, name=name or "spectrum")
-        return cls.of(series.index, series, name=name or str(series.name or "spectrum"))
+        from livlab.api.frames import curve_of
+
+        grid, value, error, found = curve_of(series)
+        return cls.of(grid, value, error, name=name or found)
 
     @classmethod
     def from_colour(cls, distribution: Any, *, name: str | None = None) -> Spectrum:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from livlab import markup
+from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.api.simulate import ENDLESS, Part, TissueLike, part, readings_of, tissue
 from livlab.api.sources import as_spectrum
@@ -137,6 +138,7 @@ class FitResult:
         return ax
 
 
+@explained
 def fit(
     measured: Any,
     parameters: Mapping[str, Bounds],

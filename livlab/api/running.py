@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from livlab import markup
+from livlab.api.arguments import explained
 from livlab.api.claims import Claims
 from livlab.api.curve import Spectrum
 from livlab.config import Experiment, check_experiment, load_experiment
@@ -217,6 +218,7 @@ class Printed(Silent):
         print(text, file=sys.stderr, flush=True)
 
 
+@explained
 def run(
     config: Experiment | Mapping[str, Any] | Path | str,
     *,
@@ -291,6 +293,7 @@ def open_run(folder: Path | str) -> RunResult:
     return found
 
 
+@explained
 def rerun(run: RunResult | Path | str, *, out: Path | str | None = None, progress: Progress | bool = False) -> Again:
     """Do a run again from its manifest and compare every file of the result: `livlab rerun` from Python.
 

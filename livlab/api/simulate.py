@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.config import check_experiment
 from livlab.errors import InputError
@@ -37,6 +38,7 @@ BAND_NM = tuple(float(x) for x in range(450, 701, 10))
 """Wavelengths of a spectrum if none are said: the visible, where every table of the liver has numbers."""
 
 
+@explained
 def tissue(
     name: TissueLike = "liver",
     *,
@@ -73,6 +75,7 @@ def tissue(
     return override(made, changes) if changes else made
 
 
+@explained
 def spectrum(
     tissue: TissueLike = "liver",
     reading: str | Reading = "measured",
@@ -217,7 +220,7 @@ def spectral_experiment(
     if effects is not None:
         data["effects"] = effects
     grid = data["wavelengths"]["list_nm"]
-    if len(grid) > 1:
+    if len(grid) > 1 and grid[-1] > grid[0]:
         data["processing"]["interpolate_nm"] = (grid[-1] - grid[0]) / 10
     found = check_experiment(data, source="livlab.spectrum").resolve()
     assert isinstance(found, SpectralExperiment)
@@ -254,6 +257,8 @@ def wavelength_list(wavelengths_nm: ArrayLike | None) -> list[float]:
         raise InputError.of("wavelengths_nm", wavelengths_nm, "must be numbers", "Give wavelengths in nm.") from None
     if grid.ndim != 1:
         raise InputError.of("wavelengths_nm", grid.shape, "must have one dimension", "Give a list of wavelengths.")
+    if grid.size and grid.min() > 0 and grid.max() < 31.0:  # no table of a tissue reaches there
+        raise InputError.of("wavelengths_nm", grid.tolist(), "look like micrometres", "Give nm: 1000 times as much.")
     return [float(x) for x in grid]
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.errors import InputError
 
@@ -18,7 +20,9 @@ PERCENT = 1.5
 
 
 def as_spectrum(given: Any, name: str = "spectrum") -> Spectrum:
-    """Whatever holds a spectrum as a `Spectrum`: a pair (wavelengths, values), pandas, colour-science, a CSV's path.
+    """Whatever holds a spectrum as a `Spectrum`.
+
+    A pair (wavelengths, values), an array of two columns, {wavelength: value}, pandas, colour-science, a CSV's path.
 
     Raises
     ------
@@ -33,7 +37,12 @@ def as_spectrum(given: Any, name: str = "spectrum") -> Spectrum:
     if isinstance(given, Spectrum):
         return given
     if isinstance(given, (str, Path)):
+        _no_dataset(given)
         return read_spectrum(given)
+    if isinstance(given, Mapping) and given:
+        return Spectrum.of(list(given), list(given.values()), name=name)
+    if isinstance(given, np.ndarray) and given.ndim == 2 and 2 in given.shape and given.shape != (2, 2):
+        return Spectrum.of(*(given if given.shape[0] == 2 else given.T), name=name)
     if hasattr(given, "index") and hasattr(given, "to_numpy"):
         return Spectrum.from_pandas(given)
     if hasattr(given, "wavelengths") and hasattr(given, "values"):
@@ -48,6 +57,19 @@ def as_spectrum(given: Any, name: str = "spectrum") -> Spectrum:
     )
 
 
+def _no_dataset(given: str | Path) -> None:
+    """Say what was meant where a dataset's name is given as if it were a file."""
+    from livlab import datasets
+
+    if isinstance(given, str) and not Path(given).suffix and not Path(given).exists() and given in datasets.names():
+        columns = datasets.load(given).value_columns
+        raise InputError.of(
+            "file", given, "does not exist, but is the name of a dataset",
+            f"Say livlab.reference({given!r}, COLUMN) with one of {', '.join(columns)}.",
+        )  # fmt: skip
+
+
+@explained
 def read_spectrum(
     path: Path | str,
     column: str | None = None,
@@ -131,6 +153,7 @@ def read_spectrum(
     return replace(made, notes=(*draft.understood, *said))
 
 
+@explained
 def reference(
     dataset: str,
     column: str = "reflectance",

@@ -271,9 +271,13 @@ def fit(
             "deviation: ask for a smaller standard error of the forward model."
         )
     fresh = _fresh_loss(problem, searches, at)
-    count = len(problem.residuals(at))
-    if count < len(space.free):
-        notes.append(f"{len(space.free)} parameters are free and {count} numbers are compared: not all can be held.")
+    count = sum(t.independent for t in targets) + sum(p.prior_sd is not None for p in space.parameters)
+    if count <= len(space.free):
+        why = "not all can be held" if count < len(space.free) else "nothing is left over to tell the error from"
+        notes.append(
+            f"{len(space.free)} parameters are free and {count} independent numbers are compared: {why}, and the "
+            "intervals say nothing. Measure more wavelengths, or fit fewer parameters."
+        )
     lost = [name for name, x in profiled.items() if x.spans]
     if lost:
         notes.append(f"The data do not bound {', '.join(lost)}: the interval reaches from bound to bound.")

@@ -80,6 +80,18 @@ class Target:
         """Points compared."""
         return int(self.use.sum())
 
+    @property
+    def independent(self) -> int:
+        """Numbers that the comparison leaves free to differ: a scale takes one, a correlation two; a colour has three.
+
+        >>> everywhere = np.full(3, True)
+        >>> Target("a", everywhere, np.ones(3), np.ones(3)).independent
+        2
+        """
+        if self.loss == "colour":
+            return 3
+        return self.size - (2 if self.loss == "pearson" else 0 if self.scaling == "none" else 1)
+
     def normalised(self, model: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Model, data and data's σ on the used points, as they are compared."""
         m, d, s = model[self.use], self.data[self.use], self.sigma[self.use]

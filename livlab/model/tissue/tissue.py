@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -271,8 +271,8 @@ def _place(data: Any, path: str) -> tuple[Any, Any]:
                 raise _lost(path, part, done, known or [str(k) for k in range(len(here))])
         elif not isinstance(here, dict):
             raise _lost(path, part, done, [])
-        elif part not in here and (position < len(parts) - 1 or not part):
-            raise _lost(path, part, done, list(here))
+        elif part not in here and (position < len(parts) - 1 or not part or not done):
+            raise _lost(path, part, done, list(here), _ending(data, part) if not done else ())
         if position == len(parts) - 1:
             return here, key
         here = here[key]
@@ -280,9 +280,23 @@ def _place(data: Any, path: str) -> tuple[Any, Any]:
     raise AssertionError("unreachable: split gives at least one part")
 
 
-def _lost(path: str, part: str, done: str, known: list[str]) -> ConfigError:
+def _ending(data: Any, part: str, done: str = "") -> list[str]:
+    """Every path of a value that ends in a key; where a value is from has the same keys and is none."""
+    found = []
+    for k, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
+        key = str(value.get("name", k)) if isinstance(data, list) and isinstance(value, dict) else str(k)
+        if key in ("sources", "given", "choices"):
+            continue
+        found += [f"{done}{key}"] if key == part else []
+        found += _ending(value, part, f"{done}{key}.")
+    return found
+
+
+def _lost(path: str, part: str, done: str, known: list[str], elsewhere: Sequence[str] = ()) -> ConfigError:
     where = done or "the tissue"
     bound = f"{where} has no {part!r}"
+    if elsewhere:
+        return ConfigError(f"{path}: {bound}.", remedy=f"Did you mean {' or '.join(map(repr, elsewhere[:3]))}?")
     remedy = nearest(part, known) or (f"It has: {', '.join(known)}." if known else "It is a single value.")
     return ConfigError(f"{path}: {bound}.", remedy=remedy)
 
