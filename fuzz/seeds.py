@@ -1,4 +1,7 @@
-"""Valid files to start from, made by livlab's own writers (and by the library's where livlab does not write)."""
+"""Valid files to start from, made by livlab's own writers (and by the library's where livlab does not write).
+
+Tests of readers take small files from here, too, so that what is fuzzed is what is tested.
+"""
 
 from __future__ import annotations
 
@@ -103,7 +106,8 @@ def seeds(name: str, place: Path) -> list[bytes]:
     if name == "preset":
         from importlib import resources
 
-        return [(resources.files("livlab.model.tissue") / "preset_files" / "liver.toml").read_bytes()]
+        presets = resources.files("livlab.model.tissue") / "preset_files"
+        return [(presets / f"{organ}.toml").read_bytes() for organ in ("liver", "skin")]
     if name == "dataset":
         import hashlib
 
@@ -271,7 +275,7 @@ def _picture(form: str) -> list[bytes]:
             image = xr.DataArray(rgb / 255, dims=("row", "column", "channel"), coords={"channel": list("RGB")})
             return [write_exr(Path(folder) / "x.exr", image).read_bytes()]
     if form == "dng":
-        return [_dng()]
+        return [dng()]
     return [_saved(Image.fromarray(rgb), kind) for kind in ("jpeg", "tga", "bmp", "webp", "gif", "ppm")]
 
 
@@ -281,27 +285,27 @@ def _saved(image: Any, kind: str) -> bytes:
     return out.getvalue()
 
 
-def _dng() -> bytes:
-    """A camera's raw file as small as can be: a Bayer mosaic in a DNG."""
+def dng(cfa: Any = None, black: int = 512, white: int = 16383, exposure: tuple[int, int] = (1, 50)) -> bytes:
+    """A camera's raw file as small as can be: a Bayer mosaic (a ramp if none is given) in a DNG."""
     import tifffile
 
     identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
     tags = [
         (33421, 3, 2, (2, 2), True),
         (33422, 1, 4, b"\x00\x01\x01\x02", True),
-        (33434, 5, 1, (1, 50), True),
+        (33434, 5, 1, exposure, True),
         (50706, 1, 4, b"\x01\x04\x00\x00", True),
         (50707, 1, 4, b"\x01\x01\x00\x00", True),
         (50708, 2, 0, "a camera", True),
-        (50714, 3, 1, 512, True),
-        (50717, 3, 1, 16383, True),
+        (50714, 3, 1, black, True),
+        (50717, 3, 1, white, True),
         (50721, 10, 9, identity, True),
         (50728, 5, 3, (1, 1, 1, 1, 1, 1), True),
         (50778, 3, 1, 21, True),
     ]
-    cfa = np.linspace(512, 16383, 64 * 64).astype(np.uint16).reshape(64, 64)
+    ramp = np.linspace(black, white, 64 * 64).astype(np.uint16).reshape(64, 64)
     out = io.BytesIO()
-    tifffile.imwrite(out, cfa, photometric="CFA", extratags=tags, metadata=None)  # type: ignore[arg-type]
+    tifffile.imwrite(out, ramp if cfa is None else cfa, photometric="CFA", extratags=tags, metadata=None)  # type: ignore[arg-type]
     return out.getvalue()
 
 

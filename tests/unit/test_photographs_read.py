@@ -8,6 +8,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+from fuzz.seeds import dng
 from livlab.acquire.photographs_read import MAX_PIXELS, Exposure, read_photograph
 from livlab.errors import InputError
 
@@ -102,32 +103,13 @@ def test_a_gamma_chunk_tells_the_encoding(tmp_path):
         assert read_photograph(tmp_path / "a.png").linear is linear
 
 
-def dng(path, cfa, black=512, white=16383, exposure=(1, 50)):
-    """A camera's raw file as small as can be: a Bayer mosaic in a DNG."""
-    identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
-    tags = [
-        (33421, 3, 2, (2, 2), True),
-        (33422, 1, 4, b"\x00\x01\x01\x02", True),
-        (33434, 5, 1, exposure, True),
-        (50706, 1, 4, b"\x01\x04\x00\x00", True),
-        (50707, 1, 4, b"\x01\x01\x00\x00", True),
-        (50708, 2, 0, "a camera", True),
-        (50714, 3, 1, black, True),
-        (50717, 3, 1, white, True),
-        (50721, 10, 9, identity, True),
-        (50728, 5, 3, (1, 1, 1, 1, 1, 1), True),
-        (50778, 3, 1, 21, True),
-    ]
-    tifffile.imwrite(path, cfa, photometric="CFA", extratags=tags, metadata=None)
-
-
 @pytest.mark.parametrize("brightest", [0.9, 0.3])
 def test_raw_is_linear_black_subtracted_and_not_balanced(tmp_path, brightest):
     level = np.linspace(0.05, brightest, 96)
     cfa = np.zeros((64, 96), np.uint16)
     cfa[:] = (512 + level * (16383 - 512)).astype(np.uint16)
     cfa[0::2, 0::2] = (512 + 0.5 * level[0::2] * (16383 - 512)).astype(np.uint16)
-    dng(tmp_path / "a.dng", cfa)
+    (tmp_path / "a.dng").write_bytes(dng(cfa))
     found = read_photograph(tmp_path / "a.dng")
     share = found.values / found.full_scale
     inner = np.s_[32, 4:-4]
@@ -169,7 +151,7 @@ def test_truncated_files_are_refused(tmp_path):
     Image.fromarray((array >> 8).astype(np.uint8)).save(tmp_path / "a.tga")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"RGB": array.astype(np.float32)}).write(str(tmp_path / "a.exr"))
-    dng(tmp_path / "a.dng", array[..., 0])
+    (tmp_path / "a.dng").write_bytes(dng(array[..., 0]))
     for name in ("a.png", "a.tif", "a.tga", "a.exr", "a.dng"):
         whole = (tmp_path / name).read_bytes()
         (tmp_path / name).write_bytes(whole[: len(whole) * 2 // 3])

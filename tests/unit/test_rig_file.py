@@ -2,24 +2,9 @@
 
 import pytest
 
+from fuzz.seeds import RIG
 from livlab.acquire.rig_file import read_rig_file, within
 from livlab.errors import ConfigError, InputError
-
-GOOD = """format = 1
-name = "a ball"
-[camera]
-kind = "pinhole"
-focal_px = 900.0
-[sphere]
-radius_mm = 20.0
-[[light]]
-images = ["0.png"]
-direction = [0.0, 0.0, -1.0]
-[[light]]
-images = ["1.png", "1s.png"]
-exposures = [1.0, 0.25]
-position_mm = [10.0, 20.0, -300.0]
-"""
 
 
 def read(tmp_path, text):
@@ -29,7 +14,7 @@ def read(tmp_path, text):
 
 
 def test_a_good_file(tmp_path):
-    rig = read(tmp_path, GOOD)
+    rig = read(tmp_path, RIG)
     assert rig.light[1].exposures == [1.0, 0.25]
     assert rig.response.kind == "linear"
     assert rig.sphere.radius_mm == 20.0
@@ -63,20 +48,20 @@ def test_a_good_file(tmp_path):
     ],
 )
 def test_wrong_files_are_refused_by_key(tmp_path, old, new, said):
-    assert old in GOOD
+    assert old in RIG
     with pytest.raises(ConfigError, match=said):
-        read(tmp_path, GOOD.replace(old, new))
+        read(tmp_path, RIG.replace(old, new))
 
 
 def test_an_intensity_of_zero_is_refused(tmp_path):
     for value in ("0.0", "-1.0"):
         with pytest.raises(ConfigError, match="intensity"):
-            read(tmp_path, GOOD + f"intensity = [{value}]\n")
+            read(tmp_path, RIG + f"intensity = [{value}]\n")
 
 
 def test_lines_are_named(tmp_path):
     with pytest.raises(ConfigError, match="line 7"):
-        read(tmp_path, GOOD.replace("radius_mm = 20.0", "radius_mm = -1.0"))
+        read(tmp_path, RIG.replace("radius_mm = 20.0", "radius_mm = -1.0"))
 
 
 def test_no_file_and_no_text(tmp_path):
