@@ -180,7 +180,7 @@ class BrdfCriterion(Section):
     pose: Literal["known", "outline"] = Field("known", description="Pose of the sphere: as set, or by the outline.")
     parameter: str | None = Field(None, description="parameter error: which; relative to the true value.")
     against: Literal["goniometer", "fit", "nunes2017", "truth"] = Field("truth", description="What it is held against.")
-    wavelength_nm: float | None = Field(None, gt=0, description="Liver: one wavelength; all together if not said.")
+    wavelength_nm: float | None = Field(None, gt=0, description="Tissue: one wavelength; all together if not said.")
     reference: float = Field(0.0, description="Value expected.")
     tolerance: Annotated[float, Field(ge=0)] = Field(description="How far from it passes.")
 

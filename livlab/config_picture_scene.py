@@ -113,8 +113,8 @@ class Geometry(Section):
     rotate_deg: Place = Field((0.0, 0.0, 0.0), description="Turned about x, then y, then z, through the origin.")
     layering: Literal["depth", "nested"] = Field(
         "depth",
-        description="How capsule and parenchyma are told apart: by a point's distance to the surface, or by an inner "
-        "mesh, the outer one moved inwards by the capsule's thickness (Nunes 2019).",
+        description="How layers (capsule and parenchyma) are told apart: by a point's distance to the surface, or by "
+        "an inner mesh, the outer one moved inwards by the thickness of what lies above the last (Nunes 2019).",
     )
     cut: Cut | None = Field(None, description="A section: the body is cut by a plane.")
 

@@ -65,7 +65,7 @@ class Camera:
         """What a report must say of the scene as far as it is built."""
         told = [note for made in self._surfaces.values() for note in made.notes]
         if self.nested:
-            told.append("Two nested meshes tell two layers: the capsule's sublayers are one layer of their mean.")
+            told.append("Two nested meshes tell two layers: those above the last are one layer of their mean.")
         return tuple(dict.fromkeys(told))
 
     @cached_property

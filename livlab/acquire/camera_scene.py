@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,8 +89,10 @@ def nested_stack(stack: OpticalStack) -> OpticalStack:
     thin = [x.name for x in stack.layers if x.thickness_mm < stack.layers[-1].thickness_mm / 10.0]
     if math.isinf(stack.layers[-1].thickness_mm):
         thin = [x.name for x in stack.layers[:-1]]
-    whole = frozenset(x.name for x in stack.layers) if not thin else frozenset(thin)
-    return merged(stack, whole, "capsule")
+    merging = thin or [x.name for x in stack.layers]
+    # Sublayers are "capsule 1", "capsule 2", …: together they are the capsule.
+    stems = dict.fromkeys(re.sub(r" \d+$", "", name) for name in merging)
+    return merged(stack, frozenset(merging), " and ".join(stems))
 
 
 def surfaces(config: PictureExperiment, whole: TriangleMesh, stack: OpticalStack) -> BodySurfaces:
@@ -184,6 +187,6 @@ def check_layering(config: PictureExperiment) -> None:
         raise InputError.of(
             "geometry.layering",
             "depth",
-            "cannot tell a cut from the surface, and would cover it with a capsule",
+            "cannot tell a cut from the surface, and would cover it with the outer layers",
             "Write layering = 'nested'.",
         )

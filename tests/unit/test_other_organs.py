@@ -14,6 +14,7 @@ import pytest
 
 from livlab import datasets
 from livlab.acquire.bench import bench_data
+from livlab.acquire.camera_scene import nested_stack
 from livlab.acquire.instruments import HyperspectralCamera
 from livlab.config import parse_experiment
 from livlab.errors import ConfigError, InputError
@@ -149,6 +150,12 @@ def test_a_bench_copies_a_scatterer_that_stands_in_for_what_it_stood_in_for() ->
     liver = load_preset("liver", changes={"layers.parenchyma.thickness_mm": math.inf})
     law = bench_data(liver, READINGS["measured"], GRID, camera, standard_error=5e-3)["law"]
     assert law["replaces"] == "hepatocyte"
+
+
+@pytest.mark.parametrize(("preset", "names"), [("liver", ["capsule", "parenchyma"]), ("skin", ["epidermis", "dermis"])])
+def test_nested_bodies_keep_their_layers_names(preset: str, names: list[str]) -> None:
+    made = nested_stack(optical_stack(load_preset(preset), READINGS["measured"], GRID))
+    assert [x.name for x in made.layers] == names
 
 
 @pytest.mark.parametrize(
