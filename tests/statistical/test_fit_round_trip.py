@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_fifty_livers_come_back(tmp_path: Path) -> None:
     # Some 200 intervals that say anything: 0.95 ± 0.03 if a tissue's four hold or fail together. Intervals of 80 %
     # (what the covariance alone gives here) would be five standard errors off.
