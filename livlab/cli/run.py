@@ -121,6 +121,7 @@ def _show(outcome: Outcome, *, quiet: bool) -> None:
         console = Console()
         if outcome.claims:
             _print_claims(console, outcome.claims)
+            _say_why(console, outcome)
         if outcome.cached:
             console.print("Done before; --force runs it again.", highlight=False)
     typer.echo(outcome.report or outcome.folder)
@@ -143,6 +144,17 @@ def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:
         line.append(criterion, style="default")
         for text in (line, Text(f"{shown}  (wanted {wanted})")):
             console.print(Padding(text, (0, 0, 0, 0 if text is line else margin), expand=False), highlight=False)
+
+
+def _say_why(console: Console, outcome: Outcome) -> None:
+    """Why claims are MISSING, each reason once."""
+    from livlab.runs import read_manifest
+
+    missing = {claim["criterion"] for claim in outcome.claims if claim["verdict"] == "MISSING"}
+    notes = read_manifest(outcome.folder).get("claim_notes")
+    reasons = [str(why) for criterion, why in notes.items() if criterion in missing] if isinstance(notes, dict) else []
+    for why in dict.fromkeys(reasons):
+        console.print(f"MISSING: {why}", highlight=False, markup=False, soft_wrap=True)
 
 
 def _cells(claim: dict[str, str]) -> tuple[str, str, str, str]:

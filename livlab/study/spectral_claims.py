@@ -149,10 +149,12 @@ def _compared(
     grid = curve.wavelength_nm[band]
     mean, sd = known.at(grid)
     if not np.isfinite(mean).all():
+        assert known.dataset is not None
+        first, last = known.dataset.range_nm
         raise RangeError.of(
             f"reference {known.spec.label}",
             float(grid[~np.isfinite(mean)][0]),
-            "is outside its range",
+            f"is outside its range, {first:g}–{last:g} nm",
             "Narrow band_nm.",
         )
     by, metric = config.processing.normalise, _METRICS[spec.metric]

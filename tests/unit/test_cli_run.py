@@ -84,6 +84,13 @@ def test_claims_are_readable_in_a_narrow_terminal(ran: tuple[Path, str], monkeyp
     assert max(map(len, narrow[:-1])) <= 60
 
 
+def test_a_missing_claim_says_why(small: Path) -> None:
+    (small / "small.toml").write_text(SMALL.replace("[500, 600, 700]", "[480, 600]"))
+    code, out, error = call("run", "small.toml", "--no-report")
+    assert (code, error) == (0, None)
+    assert out.count("MISSING: reference human liver = 480.0: is outside its range, 500–1000 nm.") == 1
+
+
 def test_a_run_prints_its_claims_and_ends_with_the_reports_path(ran: tuple[Path, str]) -> None:
     folder, out = ran
     lines = out.strip().splitlines()
