@@ -1,6 +1,6 @@
 """Fenced blocks of a Markdown page, and what the comment above each says is to be done with it.
 
-<!-- run -->          run it (bash or python); `run slow` only among the slow tests, `run exit=2` if it must end so
+<!-- run -->          run it (bash or python); `run exit=2` if it must end so
 <!-- file NAME -->    write it to a file
 <!-- output -->       the command above must have printed these lines; … stands for anything, alone for any lines
 """
@@ -35,10 +35,6 @@ class Block:
         return f"{self.page.name}, line {self.line}"
 
     @property
-    def slow(self) -> bool:
-        return "slow" in self.wish
-
-    @property
     def exit_code(self) -> int:
         return next((int(w.removeprefix("exit=")) for w in self.wish if w.startswith("exit=")), 0)
 
@@ -66,7 +62,7 @@ def blocks(page: Path) -> Iterator[Block]:
         k += 1
 
 
-def follow(page: Path, folder: Path, *, slow: bool) -> int:
+def follow(page: Path, folder: Path) -> int:
     """Do what the page's blocks ask for, in order, in a folder; the number of blocks run."""
     environment = surroundings(folder)
     printed: str | None = None
@@ -80,10 +76,8 @@ def follow(page: Path, folder: Path, *, slow: bool) -> int:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.text, encoding="utf-8")
         elif kind == "run":
-            printed = None
-            if slow or not block.slow:
-                printed = run(block, folder, environment)
-                count += 1
+            printed = run(block, folder, environment)
+            count += 1
         elif printed is not None:
             compare(block, printed)
     return count

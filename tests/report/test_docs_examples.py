@@ -26,17 +26,9 @@ def name(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-@pytest.mark.parametrize(
-    "page", [p for p in FOLLOWED if any(b.wish[:1] == ("run",) and not b.slow for b in blocks(p))], ids=name
-)
+@pytest.mark.parametrize("page", FOLLOWED, ids=name)
 def test_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
-    assert follow(page, tmp_path, slow=False) > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", [p for p in FOLLOWED if any(b.slow for b in blocks(p))], ids=name)
-def test_page_does_what_it_says_slow_blocks_too(page: Path, tmp_path: Path) -> None:
-    assert follow(page, tmp_path, slow=True) > 0
+    assert follow(page, tmp_path) > 0
 
 
 def test_the_four_walks_through_livlab_are_run() -> None:
