@@ -44,10 +44,11 @@ def _points(run: RunData, pictures: Pictures) -> list[Section]:
                 figure = draw.heat(run.result, k)
                 section.content.append(pictures.add(f"heat-{k}", figure, f"Over both factors: {name}."))
     elif len(factors) <= MOST_SCATTER:
+        against = "every factor" if len(factors) > 1 else str(factors["factor"].iloc[0])
         for k, name in enumerate(outputs):
             if np.isfinite(run.result[f"output_{k}"]).any():
                 figure = draw.scatter(run.result, k, logarithmic)
-                section.content.append(pictures.add(f"scatter-{k}", figure, f"Against every factor: {name}."))
+                section.content.append(pictures.add(f"scatter-{k}", figure, f"Against {against}: {name}."))
     table = run.table("results")
     section.content.append(Text(_extremes(table, outputs, factors)))
     more = f" (the first {MOST_ROWS} of {len(table)}; all in results.csv)" if len(table) > MOST_ROWS else ""
@@ -293,7 +294,8 @@ def _is_grid(table: pd.DataFrame, factors: pd.DataFrame) -> bool:
 
 
 def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    """As a sentence begins; a symbol (a*, b*) stays one."""
+    return text if text[1:2] == "*" else text[:1].upper() + text[1:]
 
 
 def _and(names: list[str]) -> str:

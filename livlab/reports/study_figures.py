@@ -94,7 +94,7 @@ def scatter(result: xr.Dataset, output: int, logarithmic: list[bool]) -> Figure:
         axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for j, factor in enumerate(factors):
             ax = axes.flat[j]
-            _points(ax, factor, data.to_numpy(), j)
+            _points(ax, factor, data.to_numpy(), j, joined=len(factors) == 1)
             if logarithmic[j]:
                 ax.set_xscale("log")
                 _plain_decades(ax, factor.to_numpy())
@@ -217,15 +217,24 @@ def _fisher(value: Any) -> Any:
     return np.arctanh(np.clip(value, -0.9999, 0.9999))
 
 
-def _points(ax: Axes, factor: xr.DataArray, y: Any, k: int) -> None:
-    size = 3.0 if len(y) > 300 else 8.0
+FEW = 40
+"""Points up to which each is drawn as a mark that can be seen alone."""
+
+
+def _points(ax: Axes, factor: xr.DataArray, y: Any, k: int, *, joined: bool = False) -> None:
+    few = len(y) <= FEW
+    size, alpha = (3.0 if len(y) > 300 else 8.0, 0.5) if not few else (30.0, 1.0)
     if factor.dtype.kind in "fiu":
-        ax.scatter(factor.to_numpy(), y, s=size, color=colour(k), lw=0, alpha=0.5)
+        x = factor.to_numpy()
+        if joined and few:
+            order = np.argsort(x, kind="stable")
+            ax.plot(x[order], y[order], color=colour(k), lw=1.0)
+        ax.scatter(x, y, s=size, color=colour(k), lw=0, alpha=alpha)
         return
     kinds = list(dict.fromkeys(map(str, factor.to_numpy())))
     number = np.array([kinds.index(str(v)) for v in factor.to_numpy()], dtype=float)
     jitter = np.random.default_rng(0).uniform(-0.25, 0.25, len(number))
-    ax.scatter(number + jitter, y, s=size, color=colour(k), lw=0, alpha=0.5)
+    ax.scatter(number + jitter, y, s=size, color=colour(k), lw=0, alpha=alpha)
     ax.set_xticks(range(len(kinds)), kinds, fontsize=7, rotation=25, ha="right")
 
 
