@@ -11,6 +11,7 @@ from livlab.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
 
     from livlab.brdf.fit_result import FitResult
     from livlab.brdf.geometry import Camera, Light, Sphere
@@ -104,6 +105,34 @@ def fit_model(data: xr.Dataset, model: str, *, loss: Any = "cosine-weighted-l2",
 
     samples = data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
     return fit(samples, model, loss=loss, **options)
+
+
+def plot(data: xr.Dataset, found: FitResult | None = None, *, title: str = "") -> list[Axes]:
+    """Draw samples or a table: the sphere and its residuals where there are pictures, polar lobes, cells with holes.
+
+    Parameters
+    ----------
+    data
+        Samples or a table.
+    found
+        A fit whose residuals and lobes are drawn, too.
+    title
+        Heading.
+
+    Returns
+    -------
+    The figure's axes, colour bars' last; `axes[0].figure` is the figure.
+    """
+    from livlab.brdf.files import cells_as_samples
+    from livlab.reports.sphere_figures import lobes_of, sphere_figure
+
+    samples = data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
+    predicted = None if found is None else found.predict(samples).mean("channel").values
+    lobes = None if found is None else lobes_of(found.evaluate)
+    heading = title or ("" if found is None else f"{found.model.name}, {found.relative_rmse:.2%} rms")
+    made = sphere_figure(samples, predicted, lobes, heading)
+    bars = [ax for ax in made.axes if ax.get_label() == "<colorbar>"]
+    return [*(ax for ax in made.axes if ax not in bars), *bars]
 
 
 def _from_photographs(path: Path, progress: Callable[[int, int], None] | None, options: dict[str, Any]) -> xr.Dataset:

@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from livlab import markup
 from livlab.brdf.fit_problem import Layout
 from livlab.brdf.models import Model
 from livlab.optimise import Identifiability, OptimiseResult
@@ -173,6 +174,20 @@ class FitResult:
 
     def __str__(self) -> str:
         return self.summary()
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, row["value"], row["sd"], row["lower"], row["upper"], row["status"])
+            if row["held"]
+            else (name, None, None, None, None, "not held by itself")
+            for name, row in self.table.iterrows()
+        ]
+        columns = ("parameter", "value", "sd", "lower", "upper", "status")
+        told = (f"measured: {words}" for words in self.combinations)
+        subtitle = f"{100 * self.relative_rmse:.3g} % rms of f cos(theta_i), {self.pixels} pixels; {self.resampled}"
+        return markup.card(
+            self.model.name, subtitle, markup.table(columns, rows), markup.notes((self.loss, *told, *self.warnings))
+        )
 
 
 def _finite(value: Any) -> Any:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from livlab.acquire.error_budget import ErrorBudget
     from livlab.acquire.photographs import PhotographedRig
     from livlab.acquire.photographs_extract import Extracted
-    from livlab.brdf.fit import FitResult
     from livlab.brdf.fit_loss import LossName
 
 app = typer.Typer(no_args_is_help=True, help="BRDFs from photographs of spheres: extract, fit, compare, plot, convert.")
@@ -150,7 +149,7 @@ def plot(
     """Draw the sphere with residuals, polar lobes, and cells with their holes."""
     from livlab.brdf import fit as fits
     from livlab.reports.figures import style
-    from livlab.reports.sphere_figures import sphere_figure
+    from livlab.reports.sphere_figures import lobes_of, sphere_figure
     from livlab.runs_files import write_whole
 
     _writable(output, (".png", ".svg", ".pdf"))
@@ -159,7 +158,7 @@ def plot(
     if which is not None:
         found = fits.fit(data, which, loss=_loss(loss), warn=False)
         predicted = found.predict(data).mean("channel").values
-        lobes = _lobes(found)
+        lobes = lobes_of(found.evaluate)
         title = f"{file.name}: {found.model.name}, {found.relative_rmse:.2%} rms, {loss}"
     figure = sphere_figure(data, predicted, lobes, title)
     out = io.BytesIO()
@@ -221,25 +220,6 @@ def _console(*, stderr: bool = False) -> Console:
     # Into a pipe or file a table must not be folded at 80 characters.
     tty = (sys.stderr if stderr else sys.stdout).isatty()
     return Console(stderr=stderr, width=None if tty else 160)
-
-
-def _lobes(found: FitResult) -> xr.Dataset:
-    """The fitted BRDF in the plane of incidence, mean over channels; theta > 0 on the mirror's side."""
-    import numpy as np
-    import xarray as xr
-
-    from livlab.reports.sphere_figures import INCIDENCES
-
-    theta = np.linspace(-80.0, 80.0, 161)
-    t = np.deg2rad(theta)
-    wo = np.stack([-np.sin(t), np.zeros_like(t), np.cos(t)], axis=-1)
-    curves = []
-    for angle in np.deg2rad(INCIDENCES):
-        wi = np.broadcast_to([np.sin(angle), 0.0, np.cos(angle)], wo.shape)
-        curves.append(found.evaluate(wi, wo).mean("channel").values)
-    return xr.Dataset(
-        {"value": (("incidence", "theta"), np.array(curves))}, {"incidence": list(INCIDENCES), "theta": theta}
-    )
 
 
 def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,26 @@ def sphere_figure(samples: xr.Dataset, predicted: FloatArray | None, lobes: xr.D
         return figure
 
 
+def lobes_of(evaluate: Callable[[FloatArray, FloatArray], xr.DataArray]) -> xr.Dataset:
+    """A fitted BRDF in the plane of incidence, mean over channels, as `sphere_figure` draws it.
+
+    Parameters
+    ----------
+    evaluate
+        Gives (direction, channel) values for directions to the light and to the eye, (direction, 3) each.
+    """
+    theta = np.linspace(-80.0, 80.0, 161)
+    t = np.deg2rad(theta)
+    wo = np.stack([-np.sin(t), np.zeros_like(t), np.cos(t)], axis=-1)
+    curves = []
+    for angle in np.deg2rad(INCIDENCES):
+        wi = np.broadcast_to([np.sin(angle), 0.0, np.cos(angle)], wo.shape)
+        curves.append(evaluate(wi, wo).mean("channel").values)
+    return xr.Dataset(
+        {"value": (("incidence", "theta"), np.array(curves))}, {"incidence": list(INCIDENCES), "theta": theta}
+    )
+
+
 def _pictures(figure: Figure, grid: Any, samples: xr.Dataset, value: FloatArray, predicted: FloatArray | None) -> None:
     light = samples["light"].values
     chosen = int(np.bincount(light).argmax())
@@ -62,7 +83,7 @@ def _pictures(figure: Figure, grid: Any, samples: xr.Dataset, value: FloatArray,
     picture = np.full(shape, np.nan)
     picture[at] = value[mine]
     shown = left.imshow(picture, extent=extent, cmap="viridis", vmax=float(np.nanpercentile(value[mine], 99.5)))
-    figure.colorbar(shown, ax=left, label="BRDF [1/sr]", shrink=0.85)
+    figure.colorbar(shown, ax=left, label="BRDF [1/sr]", shrink=0.85, extend="max")
     left.set(title=f"Light {chosen}: samples", xlabel="column [px]", ylabel="row [px]")
     right = figure.add_subplot(grid[0, 1])
     picture = np.full(shape, np.nan)

@@ -120,3 +120,15 @@ def test_a_model_of_no_format_is_refused(written, tmp_path):
     two = Fitted(model("lambert"), {"kd": np.array([0.2, 0.3])}, ("a", "b"))
     with pytest.raises(InputError, match="1 or 3"):
         write_fitted(tmp_path / "a.bsdf", two)
+
+
+def test_a_notebook_shows_the_fit_and_draws_it(found, written, tmp_path):
+    shown = found._repr_html_()
+    assert "<strong>plastic</strong>" in shown
+    assert "kd[R]" in shown
+    axes = livlab.brdf.plot(sample_dataset(WI, WO, VALUE, channels=["R", "G", "B"]), found)
+    assert [ax.name for ax in axes[:2]] == ["polar", "rectilinear"]
+    assert axes[0].lines
+    axes[0].figure.savefig(tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").stat().st_size > 5000
+    assert len(livlab.brdf.plot(livlab.brdf.read(written))) >= 2
