@@ -48,6 +48,18 @@ def parse(page: Path) -> Strict:
     return parser
 
 
+def test_a_reviewer_learns_command_processor_and_what_to_ask_for(write_run: Writer) -> None:
+    folder = write_run()
+    manifest = json.loads((folder / "manifest.json").read_text())
+    own = {"haemoglobin_prahl": "a" * 64, "my_liver": "b" * 64, "../no name": "c" * 64}
+    told = {"processor": "Zilog Z80", "code": "0123456789abcdef", "seed": 41, "variant": "llvm", "datasets": own}
+    (folder / "manifest.json").write_text(json.dumps(manifest | told))
+    text = " ".join(" ".join(parse(build_report(folder)).text).split())
+    for words in ("Zilog Z80", "0123456789abcdef", "seed 41", "variant llvm", f"livlab rerun {folder.name}"):
+        assert words in text, words
+    assert "Not livlab's own: my_liver, ../no name." in text
+
+
 def test_every_claim_and_section_is_on_the_page(write_run: Writer) -> None:
     page = parse(build_report(write_run()))
     text = " ".join(" ".join(page.text).split())
