@@ -273,7 +273,7 @@ class _Loader:
         """An outline picture in linear values, since half way between encoded levels is elsewhere."""
         picture = self._sized(name, size)
         value, _, clipped = development.linear(picture, float(picture.exposure.value or 1.0))
-        if clipped.any():
+        if clipped.any() and len(np.unique(picture.values)) > 2:
             self.notes.append(f"{name} is clipped: right for a mask, but in a photograph it moves the outline.")
         return value
 
