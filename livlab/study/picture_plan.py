@@ -10,6 +10,7 @@ import numpy as np
 from livlab.acquire.instruments import HyperspectralCamera
 from livlab.config_picture import PictureExperiment
 from livlab.errors import InputError
+from livlab.model.effects.plane import ANGLES_DEG, widest_change
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
 LOOKED_AT = 3
 """Wavelengths that are planned for: where the last layer absorbs least and most, and between. Each is worked out once
 an effect, so that a plan takes about 3 s of a core a wavelength where there are many effects."""
-
-ANGLES_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
-"""Angles of light and of eye at which what a plan leaves out is worked out once more: a picture has them all, the
-plan's instrument one light at 45° and an eye on the normal."""
 
 
 @dataclass(frozen=True)
@@ -101,28 +98,3 @@ def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, st
     reduced = without(scene, catalogue(scene, tissue, reading), frozenset(made.dropped)).stack
     widest = widest_change(stack.at(looked_at), reduced.at(looked_at)) if made.dropped else 0.0
     return PicturePlan(made, tuple(float(x) for x in stack.wavelength_nm[looked_at]), reduced, widest)
-
-
-def widest_change(full: OpticalStack, reduced: OpticalStack) -> float:
-    """Largest change of πL/E over wavelengths and `ANGLES_DEG` of light and eye, by adding–doubling, mean over azimuth.
-
-    >>> import numpy as np
-    >>> from livlab.model.tissue.phase import Isotropic
-    >>> from livlab.model.tissue.stack import plain_stack
-    >>> some, more = (plain_stack([(1.0, a, 1.0, np.inf, Isotropic())]) for a in (1.0, 1.1))
-    >>> 0.0 < widest_change(some, more) < 0.05
-    True
-    """
-    from livlab.model.effects.plane import NODES, ORDER
-    from livlab.model.transport.adding_doubling import adding_doubling, exit_flux
-
-    cosines = np.cos(np.radians(ANGLES_DEG))
-    worst = 0.0
-    for mu0 in cosines:
-        # Errors of the solver that both share cancel in the difference.
-        first, second = (
-            exit_flux(adding_doubling(s, mu0=float(mu0), nodes=NODES[-1], tolerance=1e-5, order=ORDER), cosines)
-            for s in (full, reduced)
-        )
-        worst = max(worst, float(np.abs(np.pi * (first - second) / cosines).max()))
-    return worst

@@ -6,13 +6,14 @@ import numpy as np
 from picture_fakes import small
 
 from livlab.config_picture import Colour
+from livlab.model.effects.plane import ANGLES_DEG, widest_change
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.phase import Isotropic
 from livlab.model.tissue.readings import READINGS
 from livlab.model.tissue.stack import plain_stack
 from livlab.study.picture_claims import Seen, judge
 from livlab.study.picture_colour import colour_routes
-from livlab.study.picture_plan import ANGLES_DEG, LOOKED_AT, looked_at_of, widest_change
+from livlab.study.picture_plan import LOOKED_AT, looked_at_of
 from livlab.study.picture_tables import optics
 
 GRID, _ = colour_routes(Colour(kappa_nm=20.0, count=5), seed=1)
