@@ -47,7 +47,7 @@ def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, ask: bool = 
 
 @pytest.fixture(scope="module")
 def ball() -> tuple[TriangleMesh, Any]:
-    """Facets of 2 mm; the grid of distances is off by up to some 10 µm between its points."""
+    """Facets of 2 mm: by their edges a depth told by grid and tangent plane is off by some µm."""
     mesh = sphere(RADIUS, (0.0, 0.0, 0.0), resolution_mm=2.0)
     return mesh, distance_field(mesh, 0.5)
 
