@@ -351,7 +351,7 @@ def _curve(s: Spectrum, grid: FloatArray) -> Curve:
     data, sd = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
     data[inside] = s.at(grid[inside])
     sd[inside] = np.interp(grid[inside], s.wavelength_nm, s.standard_error)
-    return Curve(data, sd, ends)
+    return Curve(data, sd, np.asarray(s.wavelength_nm, dtype=np.float64))
 
 
 def _frame(rows: list[dict[str, object]], index: str, columns: tuple[str, ...]) -> pd.DataFrame:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from livlab.acquire.forward import LedgerForward, Response
 from livlab.config_fit import FitExperiment, Measurement, Scene
@@ -31,19 +32,46 @@ class Curve:
     ----------
     data, sd
         (W,) the curve and its standard deviation over subjects (None: not known); nan outside its range.
-    range_nm
-        First and last wavelength that it has.
+    measured_nm
+        (N,) rising wavelengths at which it was measured; what lies between is interpolated.
     """
 
     data: FloatArray
     sd: FloatArray | None
-    range_nm: tuple[float, float]
+    measured_nm: FloatArray
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """First and last wavelength that it has."""
+        return float(self.measured_nm[0]), float(self.measured_nm[-1])
 
     @classmethod
     def known(cls, reference: Known, grid: FloatArray) -> Self:
         """A dataset's curve on the grid."""
         assert reference.dataset is not None
-        return cls(*reference.at(grid), reference.dataset.range_nm)
+        return cls(*reference.at(grid), reference.dataset.wavelength_nm)
+
+    def own(self, use: NDArray[np.bool_], grid: FloatArray) -> NDArray[np.bool_]:
+        """`use` without what is only interpolated: where the grid is finer than the measurement, the nearest points.
+
+        N measured numbers that are compared at M > N wavelengths would count as M, and intervals would be too narrow by
+        about √(M/N).
+
+        >>> curve = Curve(np.arange(5.0), None, np.array([500.0, 540.0]))
+        >>> curve.own(np.full(5, True), np.linspace(500.0, 540.0, 5)).tolist()
+        [True, False, False, False, True]
+        """
+        at = grid[use]
+        if at.size < 2:
+            return use
+        half = 0.5 * float(np.diff(at).min())
+        own = self.measured_nm[(self.measured_nm >= at[0] - half) & (self.measured_nm <= at[-1] + half)]
+        if own.size >= at.size:
+            return use
+        nearest = np.abs(at[:, None] - own).argmin(axis=0)
+        kept = np.zeros_like(use)
+        kept[np.flatnonzero(use)[nearest]] = True
+        return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +86,15 @@ class FitSetup:
         The parameters, and the model: the curves of all tissues that were measured, end to end.
     targets
         What is to be had of the measurements, by label.
+    notes
+        What was left out of a measurement, and why.
     """
 
     config: FitExperiment
     space: ParameterSpace
     forward: JointForward
     targets: dict[str, Target]
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, config: FitExperiment, curves: Mapping[str, Curve]) -> Self:
@@ -76,16 +107,14 @@ class FitSetup:
         RangeError, DatasetError
             A dataset of the tissue that is damaged, or does not reach.
         """
-        scenes = config.scenes()
-        targets = {
-            m.label: target(m, curves[m.label], config.wavelengths.grid(), scene_of(scenes, m.label), len(scenes))
-            for m in config.measurement
-            if m.label in curves
-        }
+        scenes, grid = config.scenes(), config.wavelengths.grid()
+        measured = [m for m in config.measurement if m.label in curves]
+        targets = {m.label: target(m, curves[m.label], grid, scene_of(scenes, m.label), len(scenes)) for m in measured}
+        notes = tuple(_thinned(targets[m.label], curves[m.label], m, grid) for m in measured)
         space = ParameterSpace(config.parameters())
         forward = JointForward([_forward(config, scene) for scene in scenes], [scene.keys for scene in scenes])
         forward.stack(space.values(space.vector({})))
-        return cls(config, space, forward, targets)
+        return cls(config, space, forward, targets, tuple(filter(None, notes)))
 
     @property
     def fitted(self) -> list[Target]:
@@ -128,7 +157,7 @@ class FitSetup:
 
     def said(self, found: FitOutcome) -> list[str]:
         """What a report must show, by the parameters' labels, once each."""
-        texts = (*self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
+        texts = (*self.notes, *self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
         return list(dict.fromkeys(tables.named(text, self.config) for text in texts))
 
     def tissue(self, label: str, best: Mapping[str, float]) -> Tissue:
@@ -185,6 +214,8 @@ def target(m: Measurement, curve: Curve, grid: FloatArray, place: int, scenes: i
                 f"measurement {m.label}.band_nm", m.band_nm, f"reaches beyond the curve, {low:g}–{high:g} nm", remedy
             )
         use &= band
+    if m.loss != "colour":  # three numbers, which need every wavelength between
+        use = curve.own(use, grid)
     colour = colour_of(m, grid[use])
 
     def placed(values: Any, empty: Any) -> Any:
@@ -194,6 +225,18 @@ def target(m: Measurement, curve: Curve, grid: FloatArray, place: int, scenes: i
 
     return Target(
         m.label, placed(use, False), placed(data, np.nan), placed(sigma, np.nan), m.scaling, m.loss, m.weight, colour
+    )
+
+
+def _thinned(made: Target, curve: Curve, m: Measurement, grid: FloatArray) -> str:
+    """What to say of a curve with fewer points than the wavelengths compared; nothing for others."""
+    low, high = m.band_nm or (-np.inf, np.inf)
+    there = int((np.isfinite(curve.data) & (grid >= low) & (grid <= high)).sum())
+    if m.loss == "colour" or made.size == there:
+        return ""
+    return (
+        f"{m.label} was measured at fewer wavelengths than the fit has: {made.size} of {there} are compared, the "
+        "nearest to the measured ones, since what lies between is interpolated and tells nothing more."
     )
 
 

@@ -49,12 +49,12 @@ role = "check"
 "layers.dermis.elements.blood.oxygenation" = 0.9
 """
 BLOOD = "layers.dermis.elements.blood"
-RANGE = (450.0, 700.0)
+MEASURED = np.linspace(450.0, 700.0, 26)
 
 
 def setup(**curves: Any) -> FitSetup:
     config = parse_experiment(TEXT)
-    made = {k: Curve(np.asarray(v, dtype=float), None, RANGE) for k, v in curves.items()}
+    made = {k: Curve(np.asarray(v, dtype=float), None, MEASURED) for k, v in curves.items()}
     return FitSetup.of(config, made)  # type: ignore[arg-type]
 
 
@@ -70,6 +70,22 @@ def test_a_set_up_places_each_curve_in_the_scene_of_its_tissue() -> None:
         blood = made.tissue(label, best).layers[1].elements["blood"]
         assert (blood.fraction, blood.oxygenation) == (0.02, oxygen)  # type: ignore[union-attr]
     assert setup(a=[0.2, 0.3, 0.4]).targets.keys() == {"a"}
+
+
+def test_interpolated_points_do_not_count_as_measured_ones() -> None:
+    config = parse_experiment(TEXT.replace("list_nm = [500, 550, 600]", "start_nm = 500\nstop_nm = 600\nstep_nm = 10"))
+    grid = config.wavelengths.grid()  # type: ignore[union-attr]
+    coarse = Curve(np.linspace(0.2, 0.4, 11), None, np.array([440.0, 499.0, 503.0, 548.0, 600.0, 660.0]))
+    made = FitSetup.of(config, {"a": coarse})  # type: ignore[arg-type]
+    np.testing.assert_array_equal(grid[made.targets["a"].use[:11]], [500.0, 550.0, 600.0])
+    assert made.targets["a"].independent == 2
+    (note,) = made.notes
+    assert note.startswith("a was measured at fewer wavelengths than the fit has: 3 of 11 are compared")
+    fine = FitSetup.of(config, {"a": Curve(coarse.data, None, grid)})  # type: ignore[arg-type]
+    assert fine.targets["a"].size == 11
+    assert fine.notes == ()
+    with pytest.raises(InputError, match=r"measurement a = '1 points': must have 2 or more"):
+        FitSetup.of(config, {"a": Curve(coarse.data, None, np.array([300.0, 549.0, 800.0]))})  # type: ignore[arg-type]
 
 
 def test_the_start_is_nan_where_the_last_walk_cannot_answer() -> None:
