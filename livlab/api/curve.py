@@ -54,6 +54,8 @@ class Spectrum:
     <Spectrum 'mine': 2 wavelengths, 500–600 nm, 0.1 to 0.3>
     >>> s.at([550]).tolist()
     [0.2]
+    >>> np.asarray(s).tolist()
+    [0.1, 0.3]
     """
 
     wavelength_nm: FloatArray
@@ -86,6 +88,10 @@ class Spectrum:
 
     def __len__(self) -> int:
         return len(self.wavelength_nm)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:
+        """The values, for NumPy and what builds on it: `np.asarray(s)`, `np.max(s)`."""
+        return np.array(self.value, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
         first, last = self.wavelength_nm[[0, -1]]
