@@ -236,14 +236,39 @@ def test_brackets_in_a_name_are_no_markup_of_the_terminal(name: str) -> None:
     from rich.console import Console
 
     from livlab.cli.progress import BarProgress, bars
-    from livlab.cli.run import _table
+    from livlab.cli.run import _print_claims
 
     console = Console(record=True, width=200, force_terminal=True, file=io.StringIO())
     claim = dict.fromkeys(("value", "standard_error", "reference", "tolerance"), "1.0")
-    console.print(_table([{**claim, "criterion": name, "verdict": "PASS"}]))
+    _print_claims(console, [{**claim, "criterion": name, "verdict": "PASS"}])
+    narrow = Console(record=True, width=30, force_terminal=True, file=io.StringIO())
+    _print_claims(narrow, [{**claim, "criterion": name, "verdict": "PASS"}])
+    assert name in narrow.export_text(clear=False)
     with bars(console) as drawn:
         watcher = BarProgress(drawn, name)
         watcher.begin([name])
         watcher.advance(name, 1.0, name)
         watcher.say(name)
     assert console.export_text(clear=False).count(name) >= 4
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        {"value": 10**400},
+        {"value": 1e999},
+        {"value": [0.5]},
+        {"channel": {"a": 1}},
+        {"parameter": "kd[[["},
+        [],
+    ],
+)
+def test_a_fit_whose_numbers_are_none_is_no_fit(row: object, tmp_path: Path) -> None:
+    from livlab.brdf.files_fit import read_fit
+
+    whole = {"parameter": "kd", "channel": "", "value": 0.5}
+    given = {**whole, **row} if isinstance(row, dict) else row
+    for rows, named in ((given, tmp_path / "bad.json"), (whole, tmp_path / "good.json")):
+        named.write_text(json.dumps({"model": "lambert", "parameters": [rows]}))
+    assert read_fit(tmp_path / "good.json").channels == ("value",)
+    assert "bad.json" in refused(read_fit, tmp_path / "bad.json")

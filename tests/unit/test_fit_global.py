@@ -83,7 +83,7 @@ def test_a_flat_objective_is_told() -> None:
 def test_one_point_cannot_hold_two_parameters_and_it_is_said() -> None:
     one = np.arange(41) == 20
     found = fit(Wave(), [Target("point", one, TARGET.data, TARGET.sigma, "none", "chi2")], PARAMETERS)
-    assert any("2 parameters are free and 1 numbers are compared" in note for note in found.notes)
+    assert any("2 parameters are free and 1 independent numbers are compared" in note for note in found.notes)
     assert found.verdict.verdict != "held"
 
 
