@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from livlab.errors import InputError
 from livlab.files import first_line
+from livlab.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
 
 if TYPE_CHECKING:
     import tifffile
@@ -69,6 +70,7 @@ def read_pages(path: Path) -> Iterator[Page]:
     try:
         with path.open("rb") as stream:
             magic = stream.read(4)
+        check_png(path, "image")
         tiff = magic[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
         yield from _tiff_pages(path) if tiff else _pillow_pages(path, magic)
     except InputError:
@@ -137,6 +139,7 @@ def _pillow_pages(path: Path, magic: bytes) -> Iterator[Page]:
             ) from error
     with image:
         _check_size(path, *image.size)
+        check_png_pixels(path, "image")
         lossy = image.format in ("JPEG", "MPO", "WEBP")
         notes = ("lossy compression mixes the colour channels; use PNG or TIFF for counting",) if lossy else ()
         for number, frame in enumerate(ImageSequence.Iterator(image)):
@@ -166,9 +169,7 @@ def _deep_png(path: Path) -> NDArray[Any]:
 
 
 def _tiff_pages(path: Path) -> Iterator[Page]:
-    import tifffile
-
-    with tifffile.TiffFile(path) as file:
+    with opened_tiff(path, "image") as file:
         if not file.series:
             raise ValueError("no page")
         if len({(s.pages[0].shape, s.axes) for s in file.series if s.pages[0] is not None}) > 1:
@@ -191,6 +192,7 @@ def _series_pages(path: Path, series: tifffile.TiffPageSeries) -> Iterator[tuple
     if not {"Y", "X"} <= set(first.axes) or not set(first.axes) <= set("YXS"):
         raise InputError.of("image", f"{path.name}: axes {first.axes}", "must be rows, columns and colours", _NO_IMAGE)
     _check_size(path, sizes["X"], sizes["Y"])
+    check_claim(path, "image", first.nbytes, DENSEST_TIFF)
     if "S" in first.axes:
         if sizes["S"] not in (3, 4):
             raise _gray(path, f"{sizes['S']} samples a pixel")

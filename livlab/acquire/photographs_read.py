@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from livlab.config_errors import nearest
 from livlab.errors import InputError
 from livlab.files import first_line
+from livlab.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
 
 MAX_PIXELS = 100_000_000
 """Photographs above this are refused from their header, before they are decoded."""
@@ -103,6 +104,7 @@ def read_photograph(path: Path) -> Photograph:
     try:
         with path.open("rb") as stream:
             magic = stream.read(8)
+        check_png(path, "photograph")
         return _reader(path, magic)(path)
     except InputError:
         raise
@@ -185,6 +187,7 @@ def _pillow(path: Path) -> Photograph:
             ) from error
     with image:
         check_size(path, *image.size)
+        check_png_pixels(path, "photograph")
         if getattr(image, "n_frames", 1) > 1:
             raise InputError.of("photograph", path.name, "holds several pictures", "Give one picture a file.")
         kind, info = image.format, dict(image.info)
@@ -243,7 +246,7 @@ def _exif(tags: Any) -> Exposure:
 def _tiff(path: Path) -> Photograph:
     import tifffile
 
-    with tifffile.TiffFile(path) as file:
+    with opened_tiff(path, "photograph") as file:
         if not file.pages:
             raise ValueError("no page")
         if len(file.pages) != 1:
@@ -253,6 +256,7 @@ def _tiff(path: Path) -> Photograph:
         page = file.pages[0]
         assert isinstance(page, tifffile.TiffPage)
         check_size(path, page.imagewidth, page.imagelength)
+        check_claim(path, "photograph", page.nbytes, DENSEST_TIFF)
         tags = {tag.code: tag.value for tag in page.tags}
         inner = tags.get(34665)
         named = {"ExposureTime": 33434, "ISOSpeedRatings": 34855, "PhotographicSensitivity": 34855, "FNumber": 33437}

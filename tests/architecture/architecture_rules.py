@@ -12,6 +12,7 @@ RANKS = {
     "livlab": 0,
     "livlab.errors": 0,
     "livlab.files": 0,
+    "livlab.picture_files": 0,
     "livlab.netcdf": 0,
     "livlab.toml_text": 0,
     "livlab.config_errors": 0,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from livlab.errors import InputError
 from livlab.files import DENSEST, readable
 from livlab.model.shapes.volume import Segmentation
+from livlab.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
 
 MAX_VOXELS = 1_000_000_000
 MAX_BYTES = 16 * MAX_VOXELS
@@ -172,11 +173,24 @@ def _nifti(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
 
 
 def _nifti_class(file: Path) -> Any:
+    """The class that reads a NIfTI file but for the extensions of its header: nothing here needs them.
+
+    nibabel sets aside what each says of its length (up to 2 GiB), and only then looks for the bytes.
+    """
     import nibabel
 
     with nibabel.openers.ImageOpener(str(file)) as stream:
         length = stream.read(4)
-    return nibabel.Nifti2Image if 540 in (int.from_bytes(length, order) for order in _ORDERS) else nibabel.Nifti1Image
+    second = 540 in (int.from_bytes(length, order) for order in _ORDERS)
+    plain: Any = nibabel.Nifti2Image if second else nibabel.Nifti1Image
+
+    class NoExtensions(plain.header_class.exts_klass):  # type: ignore[misc]
+        @classmethod
+        def from_fileobj(cls, *_: object) -> Any:
+            return cls()
+
+    header = type("Header", (plain.header_class,), {"exts_klass": NoExtensions})
+    return type("Image", (plain,), {"header_class": header})
 
 
 def _nrrd(file: Path) -> tuple[NDArray[Any], NDArray[np.float64], list[str]]:
@@ -308,13 +322,14 @@ def _image(file: Path) -> NDArray[Any]:
         if file.suffix.lower() == ".png":
             from PIL import Image
 
+            check_png(file, "volume")
             with Image.open(file, formats=("PNG",)) as opened:
                 _refuse_large(opened.size)
+                check_png_pixels(file, "volume")
                 return np.asarray(opened)
-        import tifffile
-
-        with tifffile.TiffFile(file) as stack:
+        with opened_tiff(file, "volume") as stack:
             _refuse_large(stack.series[0].shape)
+            check_claim(file, "volume", stack.series[0].nbytes, DENSEST_TIFF)
             return np.asarray(stack.asarray())
     except InputError:
         raise
