@@ -227,6 +227,8 @@ def _brdf(form: str, place: Path) -> list[bytes]:
     samples = sample_dataset(way, way[::-1], np.full((3, 1), 0.3), channels=["L"])
     if form == "alta":
         return [ALTA.encode(), ALTA.replace("3 1", "2 3").replace("_TD_PD", "_TD").replace("INV_STER", "RGB_").encode()]
+    if form == "fit":
+        return _fits()
     if form == "merl":
         return [np.array([90, 90, 180], "<i4").tobytes() + bytes(240)]
     suffix = {"csv": ".csv", "netcdf": ".nc", "mitsuba": ".bsdf"}[form]
@@ -241,6 +243,22 @@ def _brdf(form: str, place: Path) -> list[bytes]:
         found.append(path.read_bytes())
     else:
         found.append(b"theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value_0,light\n0,0,10,0,0.5,1\n20,0,30,9,0.4,2\n")
+    return found
+
+
+def _fits() -> list[bytes]:
+    from livlab.brdf.fit import fit
+    from livlab.brdf.models import model
+    from livlab.brdf.samples import sample_dataset
+
+    rng = np.random.default_rng(1)
+    wi, wo = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in rng.uniform(0.1, 1.0, (2, 40, 3)))
+    truth = {"kd": [0.45, 0.2], "alpha": [0.3, 0.3], "eta": [1.5, 1.5], "ks": [1.0, 1.0]}
+    value = model("plastic").evaluate(wi, wo, {name: np.array(x) for name, x in truth.items()})
+    found = []
+    for name, channels in (("plastic", ["R", "G"]), ("lambert", ["L"])):
+        samples = sample_dataset(wi, wo, value[:, : len(channels)], channels=channels)
+        found.append(fit(samples, name, bootstrap=None, starts=1, warn=False).to_json().encode())
     return found
 
 

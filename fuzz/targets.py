@@ -217,6 +217,16 @@ def _bsdf(path: Path) -> None:
     assert isinstance(material.description, str)
 
 
+def _fit(path: Path) -> None:
+    import numpy as np
+
+    from livlab.brdf.files_fit import read_fit
+
+    fitted = read_fit(path)
+    way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+    assert fitted.evaluate(way, way).shape == (2, len(fitted.channels))
+
+
 def _mesh(path: Path) -> None:
     from livlab.model.shapes import check, read_mesh
 
@@ -302,6 +312,7 @@ TARGETS = {
         Target("micrograph-tiff", ("x.tif",), _micrograph, ("tifffile",)),
         Target("brdf-csv", ("x.csv",), _brdf),
         Target("brdf-alta", ("x.alta",), _brdf),
+        Target("brdf-fit", ("x.json",), _fit),
         Target("brdf-merl", ("x.binary",), _brdf),
         Target("brdf-mitsuba", ("x.bsdf",), _bsdf),
         Target("brdf-netcdf", ("x.nc",), _brdf, cost=10),

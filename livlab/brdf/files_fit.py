@@ -56,7 +56,7 @@ def read_fit(path: Path) -> Fitted:
     try:
         record = json.loads(text)
         name, rows = str(record["model"]), [_row(row) for row in record["parameters"]]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         remedy = "Name a file that `livlab brdf fit -o` wrote."
         raise DatasetError.of(
             path.name, "its content", f"is no fit ({type(error).__name__}: {error})", remedy

@@ -258,7 +258,6 @@ def test_brackets_in_a_name_are_no_markup_of_the_terminal(name: str) -> None:
         {"value": 10**400},
         {"value": 1e999},
         {"value": [0.5]},
-        {"channel": {"a": 1}},
         {"parameter": "kd[[["},
         [],
     ],
