@@ -84,8 +84,8 @@ def fit(
     algorithm
         NLopt's, with gradient: LD_SLSQP, LD_LBFGS, LD_MMA.
     bootstrap, replicates, level
-        What the intervals resample ("auto": whole lights from six on, else patches of pictures), how often, and their
-        coverage.
+        What sd and intervals take as independent ("auto": whole lights from six on, else patches of pictures), how
+        often it is drawn, and the intervals' coverage. None as "auto", with Student's intervals.
     max_seconds
         Limit of the search.
     seed
@@ -116,7 +116,7 @@ def fit(
     found = replace(found, status=layout.space.status(layout.space.vector(values), start_x))
     sure = spread(problem, values, resampling=bootstrap, replicates=replicates, level=level, seed=seed)
     held = identifiability(sure.independent, lost=LOST_CONDITION)
-    table = parameter_table(layout, values, found.status, sure, held, level)
+    table = parameter_table(layout, values, found.status, sure, held)
     loose = combinations_in_words(layout, values, sure, held)
     rss = 2.0 * problem.value(values)
     rmse, relative = _rms(problem, values)
@@ -143,6 +143,7 @@ def fit(
         combinations=loose,
         footprint=data.footprint,
         resampled=sure.resampled,
+        left_out=sure.left_out,
         level=level,
         theta_d_range=(float(data.theta_d.min()), float(data.theta_d.max())),
         warnings=tuple(notes),

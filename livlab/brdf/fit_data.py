@@ -26,6 +26,9 @@ Footprint = Literal["auto"] | int | None
 TILE = 16
 """Side in pixels of the blocks within which residuals are taken to hang together."""
 
+DIRECTIONS = "directions"
+"""Footprint, in words, of samples that are no pixels."""
+
 
 @dataclass(frozen=True, eq=False)
 class Packed:
@@ -74,7 +77,7 @@ class Packed:
     theta_d: FloatArray
     channels: tuple[str, ...]
     source_rad: float = 0.0
-    footprint: str = "directions"
+    footprint: str = DIRECTIONS
     dropped: int = 0
     notes: tuple[str, ...] = ()
 
@@ -183,7 +186,7 @@ def _plain(
     return Packed(
         value[keep], error[keep], at.i, np.ones(keep.size), at, np.ones(keep.size), np.arange(keep.size),
         light.astype(np.intp), tile.astype(np.intp), half.theta_h, half.theta_d, channels,
-        0.0, "directions", len(value) - keep.size, notes,
+        0.0, DIRECTIONS, len(value) - keep.size, notes,
     )  # fmt: skip
 
 

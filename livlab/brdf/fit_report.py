@@ -20,17 +20,15 @@ def parameter_table(
     status: Mapping[str, str],
     sure: Spread,
     held: Identifiability,
-    level: float,
 ) -> pd.DataFrame:
     """One row a parameter."""
-    normal = sure.robust.intervals(level)
     meanings = {p.name: p.meaning for p in layout.model.parameters}
     loose = not_held(held)
     rows = []
     for p in layout.parameters:
         base = layout.base_name[p.name]
         label = p.name[len(base) :].strip("[]")
-        span = sure.intervals if p.name in sure.intervals.index else normal if p.name in normal.index else None
+        span = sure.intervals if p.name in sure.intervals.index else None
         rows.append(
             {
                 "parameter": p.name,
@@ -70,7 +68,7 @@ def combinations_in_words(
         return ()
     power = -relative[a] / relative[b]
     product = values[a] * values[b] ** power
-    matrix = sure.independent.matrix
+    matrix = sure.robust.matrix
     grad = np.array([1.0 / values[a], power / values[b]])
     moments = matrix.loc[[a, b], [a, b]].to_numpy(dtype=np.float64)
     share = math.sqrt(max(float(grad @ moments @ grad), 0.0))

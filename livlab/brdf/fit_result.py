@@ -27,8 +27,8 @@ class FitResult:
     model
         What was fitted.
     table
-        One row a parameter: value, sd (patches of pictures hang together), sd_independent, lower, upper (bootstrap, or
-        normal where not resampled), status, held, channel, meaning.
+        One row a parameter: value; sd and lower, upper, both from the scatter between the same blocks (`resampled`);
+        sd_independent, as if every residual were independent; status, held, channel, meaning.
     loss, loss_value
         The loss in words, and half its sum of squares at the optimum.
     rmse, relative_rmse
@@ -43,8 +43,10 @@ class FitResult:
         What the data hold.
     combinations
         In words, the products that are measured where their factors are not.
-    footprint, resampled, level
-        How pixels were integrated, what the bootstrap drew, and the coverage of the intervals.
+    footprint
+        How pixels were integrated.
+    resampled, left_out, level
+        What sd and intervals take as independent, which errors they cannot hold, and the intervals' coverage.
     theta_d_range
         Smallest and largest θ_d of the samples in radians: what the angle dependence of Fresnel's term rests on.
     warnings
@@ -73,6 +75,7 @@ class FitResult:
     combinations: tuple[str, ...]
     footprint: str
     resampled: str
+    left_out: str
     level: float
     theta_d_range: tuple[float, float]
     warnings: tuple[str, ...]
@@ -88,6 +91,11 @@ class FitResult:
     def values(self) -> dict[str, float]:
         """Every fit parameter by name; those of one channel carry its label, as in kd[R]."""
         return {str(k): float(v) for k, v in self.table["value"].items()}
+
+    @property
+    def uncertainty(self) -> str:
+        """What sd and intervals are of."""
+        return f"sd and {100 * self.level:.4g} % intervals from the scatter between {self.resampled}"
 
     def parameters(self) -> xr.Dataset:
         """The model's parameters with dimension `channel`, as `Model.evaluate` takes them."""
@@ -133,6 +141,7 @@ class FitResult:
             "combinations": list(self.combinations),
             "footprint": self.footprint,
             "resampled": self.resampled,
+            "not_in_sd_and_intervals": self.left_out,
             "level": self.level,
             "theta_d_range_rad": list(self.theta_d_range),
             "warnings": list(self.warnings),
@@ -155,7 +164,8 @@ class FitResult:
             f"residuals; theta_d {low:.1f} to {high:.1f} deg",
             f"{'rms':<12} {self.rmse:.4g} 1/sr of f cos(theta_i), {100 * self.relative_rmse:.3g} % of it",
             f"{'criteria':<12} AIC {self.aic:.6g}, BIC {self.bic:.6g}: for models on the same data and loss only",
-            f"{'intervals':<12} {100 * self.level:.4g} %, {self.resampled}",
+            f"{'errors':<12} {self.uncertainty}",
+            f"{'not in them':<12} {self.left_out}",
             f"{'search':<12} {self.search.algorithm}: {self.search.stop}; "
             f"{self.search.evaluations} evaluations in the last stage, {self.seconds:.3g} s in all",
             "",
@@ -184,9 +194,12 @@ class FitResult:
         ]
         columns = ("parameter", "value", "sd", "lower", "upper", "status")
         told = (f"measured: {words}" for words in self.combinations)
-        subtitle = f"{100 * self.relative_rmse:.3g} % rms of f cos(theta_i), {self.pixels} pixels; {self.resampled}"
+        subtitle = f"{100 * self.relative_rmse:.3g} % rms of f cos(theta_i), {self.pixels} pixels"
         return markup.card(
-            self.model.name, subtitle, markup.table(columns, rows), markup.notes((self.loss, *told, *self.warnings))
+            self.model.name,
+            subtitle,
+            markup.table(columns, rows),
+            markup.notes((self.loss, f"{self.uncertainty}; not in them: {self.left_out}", *told, *self.warnings)),
         )
 
 

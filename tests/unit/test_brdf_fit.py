@@ -154,6 +154,34 @@ def test_reflectance_and_scale_are_not_both_printed_where_only_their_product_is_
     assert wide.values["F0"] == pytest.approx(0.05, rel=0.05)
 
 
+def test_sd_and_interval_are_of_the_same_blocks_and_say_so():
+    rng = np.random.default_rng(5)
+    samples = made("lambert+ggx", TRUTH["lambert+ggx"], noise=5e-3)
+    light = rng.integers(0, 8, samples.sizes["sample"])
+    samples["value"] = samples["value"] * (1 + 0.05 * rng.standard_normal(8))[light][:, None]
+    samples = samples.assign_coords(light=("sample", light))
+    expected = {"lights": "whole lights (8)", "tiles": "cells of 4 x 4 deg", "samples": "single samples"}
+    kd = {}
+    for drawn, words in expected.items():
+        found = fit(samples, "lambert+ggx", bootstrap=drawn)
+        assert found.resampled.startswith(words)
+        kd[drawn] = row = found.table.loc["kd"]
+        assert (row["upper"] - row["lower"]) / 2 == pytest.approx(row["sd"], rel=0.25)
+        assert found.uncertainty in found.summary()
+        assert f"not in them: {found.left_out}" in found._repr_html_()
+        assert json.loads(found.to_json())["not_in_sd_and_intervals"] == found.left_out
+    assert kd["lights"]["sd"] > 3 * kd["samples"]["sd"]
+    assert fit(samples, "lambert+ggx").table.loc["kd", "sd"] == kd["lights"]["sd"]
+    plain = fit(samples, "lambert+ggx", bootstrap=None)
+    assert plain.table.loc["kd", "sd"] == kd["lights"]["sd"]
+    # Student's t of seven degrees of freedom: 1.077 for one sd.
+    width = plain.table.loc["kd", "upper"] - plain.table.loc["kd", "lower"]
+    assert width / 2 == pytest.approx(1.077 * kd["lights"]["sd"], rel=1e-3)
+    few = samples.isel(sample=light < 5)
+    assert fit(few, "lambert+ggx").resampled.startswith("cells of 4 x 4 deg")
+    assert "a whole light shares" in fit(few, "lambert+ggx").left_out
+
+
 def test_two_equal_lobes_are_told():
     found = fit(made("lambert+ggx", TRUTH["lambert+ggx"], noise=1e-3), "lambert+ggx+ggx")
     told = found.identifiability.verdict != "held" or any("bound" in s for s in found.warnings)
@@ -179,7 +207,7 @@ def test_the_result_as_text_table_and_json():
     assert {p["parameter"] for p in data["parameters"]} == {"kd", "ks", "alpha", "eta"}
     assert data["parameters"][-1]["sd"] is None  # fixed
     text = found.summary()
-    for word in ("cosine-weighted-l2", "AIC", "theta_d", "alpha", "intervals"):
+    for word in ("cosine-weighted-l2", "AIC", "theta_d", "alpha", "sd and 68.27 % intervals", "not in them"):
         assert word in text
     row = found.to_frame().loc["alpha"]
     assert row["lower"] < row["value"] < row["upper"]
