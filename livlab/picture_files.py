@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,12 +13,19 @@ from livlab.errors import InputError
 from livlab.files import DENSEST
 
 if TYPE_CHECKING:
+    from xml.etree import ElementTree
+
     import tifffile
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
 DENSEST_TIFF = 10_000
 """Bytes that a byte of a TIFF's pixels can stand for, at most: LZMA packs 10⁸ zeros 6900 times, LZW 2600 times."""
+
+MOST_PLANES = 100_000
+"""Of a stack, by what its OME-XML says."""
+
+_LEADING = ("SizeC", "SizeZ", "SizeT")
 
 _SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 """Of a pixel, by PNG's colour type."""
@@ -123,11 +131,43 @@ def opened_tiff(path: Path, field: str) -> Iterator[tifffile.TiffFile]:
     Raises
     ------
     InputError
-        See `check_tiff`.
+        See `check_tiff`; or the OME-XML in it counts what cannot be there.
     """
     import tifffile
 
     check_tiff(path, field)
     # Series of these kinds are put together from files beside, or out of words in the file that name any others.
     with tifffile.TiffFile(path, _multifile=False, is_mmstack=False, is_ndtiff=False) as file:
+        if file.is_ome:
+            smallest = min((page.imagewidth * page.imagelength for page in file.pages), default=1)  # type: ignore[union-attr]
+            _check_ome(path, field, str(file.ome_metadata), max(smallest, 1))
         yield file
+
+
+def _check_ome(path: Path, field: str, text: str, smallest: int) -> None:
+    """Refuse OME-XML that counts too many planes of at least `smallest` pixels: tifffile makes a list of them all."""
+    from xml.etree import ElementTree
+
+    try:
+        planes = sum(_planes(part, smallest) for part in ElementTree.fromstring(text).iter())
+    except ElementTree.ParseError:
+        return  # tifffile then takes the pages as they come
+    except (ValueError, OverflowError, ZeroDivisionError) as error:
+        raise InputError.of(field, f"{path.name}: OME-XML", f"must count its planes ({error})", _DAMAGED) from error
+    if planes > MOST_PLANES:
+        claim = f"{path.name}: {planes} planes in its OME-XML"
+        raise InputError.of(field, claim, f"must be at most {MOST_PLANES}", "Split the stack, or export it again.")
+
+
+def _planes(part: ElementTree.Element, smallest: int) -> int:
+    kind, said = part.tag.rpartition("}")[2], part.attrib
+    if kind == "Pixels":
+        sizes = {name: abs(int(value)) for name, value in said.items() if name in ("SizeX", "SizeY", *_LEADING)}
+        leading = math.prod(sizes.get(name, 1) for name in _LEADING)
+        return max(leading, math.prod(sizes.values()) // smallest)
+    if kind == "TiffData":
+        return max(abs(int(said.get(name, 0))) for name in ("NumPlanes", "PlaneCount"))
+    if kind.startswith("ModuloAlong") and "Start" in said:
+        start, end, step = (float(said.get(name, 1)) for name in ("Start", "End", "Step"))
+        return math.ceil(abs((end - start) / step))
+    return 0

@@ -173,3 +173,47 @@ def test_an_extension_of_a_nifti_is_not_taken_at_its_word(version: int, tmp_path
         assert tracemalloc.get_traced_memory()[1] < MOST
         tracemalloc.stop()
         np.testing.assert_array_equal(found.inside, values > 0)
+
+
+def ome(sizes: str, data: str, more: str = "") -> bytes:
+    """Two grey pages of 6×8 and what OME-XML says of them."""
+    text = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+    text += f'<Pixels DimensionOrder="XYCZT" ID="Pixels:0" Type="uint8" {sizes}>{data}</Pixels></Image>{more}</OME>'
+    out = io.BytesIO()
+    with tifffile.TiffWriter(out) as writer:
+        for words in (text, None):
+            writer.write(np.zeros((8, 6), np.uint8), description=words, metadata=None, contiguous=False)
+    return out.getvalue()
+
+
+REAL = 'SizeX="6" SizeY="8" SizeC="2" SizeZ="1" SizeT="1"'
+ALONG = (
+    '<StructuredAnnotations><A ID="A" Namespace="modulo"><Value><M><ModuloAlongZ Start="0" End="{}"/></M></Value></A>'
+)
+ALONG += "</StructuredAnnotations>"
+
+
+@pytest.mark.parametrize(
+    ("sizes", "data", "more"),
+    [
+        (REAL.replace('SizeZ="1"', 'SizeZ="20000000"'), '<TiffData IFD="0" PlaneCount="1"/>', ""),
+        (REAL.replace('SizeX="6"', 'SizeX="60000000"'), '<TiffData IFD="0" PlaneCount="1"/>', ""),
+        (REAL, '<TiffData IFD="0" PlaneCount="20000000"/>', ""),
+        (REAL, '<TiffData IFD="0" PlaneCount="2"/>', ALONG.format(2 * 10**7)),
+        (REAL.replace('SizeZ="1"', 'SizeZ="many"'), '<TiffData IFD="0" PlaneCount="1"/>', ""),
+    ],
+)
+def test_words_of_a_tiff_do_not_claim_planes_without_end(sizes: str, data: str, more: str, tmp_path: Path) -> None:
+    path = tmp_path / "0.tif"
+    path.write_bytes(ome(REAL, '<TiffData IFD="0" PlaneCount="2"/>'))
+    assert [page.channels.shape for page in read_pages(path)] == [(8, 6, 2)]
+    path.write_bytes(ome(sizes, data, more))
+    assert "planes" in refused(_micrograph, path)
+
+
+def test_words_of_a_tiff_open_no_other_file(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "other.tif").write_bytes(ome(REAL, '<TiffData IFD="0" PlaneCount="2"/>'))
+    data = '<TiffData IFD="0" PlaneCount="2"><UUID FileName="../other.tif">urn:uuid:1</UUID></TiffData>'
+    (tmp_path / "in" / "0.tif").write_bytes(ome(REAL, data))
+    assert "one channel" in refused(_micrograph, tmp_path / "in" / "0.tif")
