@@ -68,7 +68,19 @@ def chance(value, sd):
     return 2 * np.minimum(below, 1 - below)
 
 
-def check(got):
+def tell(lights, got):
+    """The table of docs/brdf.md, for `pytest -s`."""
+    scatter, middle = got.value.std(axis=0, ddof=1), got.value.mean(axis=0)
+    held = ((got.lower <= middle) & (middle <= got.upper)).mean(axis=0)
+    rows = [("sd", got.sd), ("sd from patches", got.patches)]
+    ratios = [(what, np.sqrt(np.mean(sd**2, axis=0)) / scatter) for what, sd in rows]
+    print(f"\n{lights} lights, {len(got.value)} sessions; {', '.join(TRUTH)}; mean {middle.round(4)}")
+    for what, numbers in (*ratios, ("interval holds the mean", held)):
+        print(f"  {what:24}", *(f"{x:6.2f}" for x in numbers))
+
+
+def check(lights, got):
+    tell(lights, got)
     draws, middle = len(got.value), got.value.mean(axis=0)
     assert np.all(chance(got.value, got.sd) > 0.003), np.sqrt(np.mean(got.sd**2, 0)) / got.value.std(0, ddof=1)
     for hits in ((got.lower <= middle) & (middle <= got.upper)).sum(axis=0):
@@ -80,7 +92,7 @@ def check(got):
 
 def test_sd_and_intervals_are_the_scatter_of_repeated_photographs():
     got = repeated(80, 12, 7)
-    check(got)
+    check(12, got)
     # The test would have seen it: patches of pictures call kd surer and ks less sure than they are.
     kd, ks, alpha = range(3)
     scatter = got.value.std(axis=0, ddof=1)
@@ -95,4 +107,4 @@ def test_sd_and_intervals_are_the_scatter_of_repeated_photographs():
 @pytest.mark.slow
 @pytest.mark.parametrize("lights", [6, 24])
 def test_few_and_many_lights(lights):
-    check(repeated(200, lights, 11))
+    check(lights, repeated(200, lights, 11))
