@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import logging
 import os
 import sys
@@ -19,6 +20,10 @@ COMPILED = [
     "livlab.model.transport.ledger_kernel",
 ]
 """Numba compiles these, and knows nothing of what counts branches."""
+
+
+STUCK = 120
+"""Seconds after which nothing but C code can be to blame: a reader in Python is interrupted long before."""
 
 
 def main() -> None:
@@ -38,7 +43,11 @@ def main() -> None:
     logging.disable(logging.CRITICAL)
 
     def once(content: bytes) -> None:
+        # A library that loops in C lets no signal through to Python; a thread of its own ends the process then, and
+        # the input is what lies in the folder `attempt`.
+        faulthandler.dump_traceback_later(STUCK, exit=True)
         attempt(target, content, place / "attempt", place / "seed" / "folder")
+        faulthandler.cancel_dump_traceback_later()
 
     atheris.Setup([sys.argv[0], *sys.argv[3:]], once)
     with bounded(), contextlib.redirect_stdout(open(os.devnull, "w")):  # noqa: PTH123

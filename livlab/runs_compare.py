@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from livlab.netcdf import check_heaps
+
 Verdict = Literal["same", "same but for times", "differs", "only before", "only now", "not compared"]
 
 CLOCK = frozenset(
@@ -160,6 +162,7 @@ def _grid_without_clock(raw: bytes) -> bytes:
         attributes(path, item)
 
     try:
+        check_heaps(raw)
         with h5py.File(io.BytesIO(raw), "r") as file:
             attributes("/", file)
             file.visititems(visit)
@@ -212,6 +215,8 @@ def _grids(old: bytes, new: bytes) -> str:
     import xarray as xr
 
     said = []
+    for raw in (old, new):
+        check_heaps(raw)
     trees = [xr.open_datatree(io.BytesIO(x), engine="h5netcdf") for x in (old, new)]
     try:
         first, second = ({n.path: n.to_dataset() for n in tree.subtree} for tree in trees)
