@@ -48,3 +48,20 @@ def test_constraints_pin_exactly_and_cover_what_is_required():
     wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
     names = {re.sub(r"[._-]+", "-", re.split(r"[\s<>=!~;\[]", entry, maxsplit=1)[0]).lower() for entry in wanted}
     assert names - pinned == set()
+
+
+def test_pinned_packages_take_the_oldest_python_that_is_promised():
+    import re
+    from importlib.metadata import distributions
+
+    from packaging.specifiers import SpecifierSet
+
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pinned = dict(line.lower().split("==") for line in lines if "==" in line and not line.startswith("#"))
+    asked = {}
+    for found in distributions():
+        name = re.sub(r"[._-]+", "-", found.metadata["Name"]).lower()
+        if pinned.get(name) == found.version.lower():
+            asked[name] = found.metadata.get("Requires-Python", "")
+    assert len(asked) > 100  # Debian 12 has 3.11.2, and the promise is 3.11
+    assert [name for name, python in asked.items() if not SpecifierSet(python).contains("3.11.2")] == []
