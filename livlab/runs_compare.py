@@ -16,6 +16,9 @@ from livlab.netcdf import check_heaps
 
 Verdict = Literal["same", "same but for times", "differs", "only before", "only now", "not compared"]
 
+OF_MACHINE = frozenset({"seconds", "speed", "memory"})
+"""Metrics whose claims are about the machine."""
+
 CLOCK = frozenset(
     {"seconds", "seconds_left", "samples_per_second", "trace_seconds", "compile_seconds"}
     | {"setup_seconds", "solving_seconds"}
@@ -57,11 +60,13 @@ class FileVerdict:
 def timeless(name: str, raw: bytes) -> bytes:
     r"""A file without what a clock said: the columns and keys of `CLOCK` are taken out; others are left alone.
 
-    Of a claim about time the value and its verdict are a clock's, too: its row is left out.
+    Of a claim about time, speed or memory the value and its verdict are the machine's: its row is left out.
 
     >>> timeless("claims.csv", b"criterion,value,seconds\na,1,0.5\n")
     b'criterion,value\na,1\n'
     >>> timeless("claims.csv", b"criterion,value,seconds\na,1,0.5\nseconds of a,0.50004,0.5\n")
+    b'criterion,value\na,1\n'
+    >>> timeless("claims.csv", b"criterion,value,seconds\na,1,0.5\nspeed a,2e6,0.5\n")
     b'criterion,value\na,1\n'
     """
     if name.endswith(".csv"):
@@ -84,7 +89,9 @@ def timeless(name: str, raw: bytes) -> bytes:
 
 
 def _of_time(claim: Mapping[str, str]) -> bool:
-    """Whether what a claim judges is the time that it took: its value is its seconds, which have four digits."""
+    """Whether a claim judges the machine: by its metric, or since its value is its seconds, which have four digits."""
+    if claim.get("criterion", "").partition(" ")[0] in OF_MACHINE:
+        return True
     try:
         return float(claim["seconds"]) > 0 and f"{float(claim['value']):.4g}" == f"{float(claim['seconds']):.4g}"
     except (KeyError, ValueError):
