@@ -43,7 +43,6 @@ def test_every_block_of_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.Mo
     assert load_experiment(Path("picture.toml")).plain()["kind"] == "picture"
 
 
-@pytest.mark.slow
 def test_the_picture_of_the_tutorial_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, libllvm: object) -> None:
     monkeypatch.chdir(tmp_path)
     for _, title, body in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
