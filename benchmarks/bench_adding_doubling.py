@@ -16,8 +16,8 @@ import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
-from livlab.model.tissue.mie import mie_phase
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Phase
+from livlab.model.tissue.particles.sphere import mie_phase
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Phase
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 from livlab.model.transport.adding_doubling import adding_doubling
 from livlab.model.transport.quadrature import legendre_table

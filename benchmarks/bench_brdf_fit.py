@@ -16,10 +16,10 @@ from collections.abc import Callable
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.sphere_rig import SphereRig, arc, light, photograph
-from livlab.brdf.fit import FitResult, Packed, fit, pack
+from livlab.acquire.instruments.sphere_rig import SphereRig, arc, light, photograph
+from livlab.brdf.fit.fit import FitResult, Packed, fit, pack
 from livlab.brdf.geometry import Camera, Light, Sphere
-from livlab.brdf.models import Cosines, model
+from livlab.brdf.models.model import Cosines, model
 from livlab.brdf.sphere import by_light, extract
 from livlab.brdf.view import see
 

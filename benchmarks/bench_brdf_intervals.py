@@ -18,12 +18,12 @@ import numpy as np
 import tifffile
 from scipy.spatial.transform import Rotation
 
-from livlab.acquire.photographs import open_rig
-from livlab.acquire.photographs_extract import extract_samples
-from livlab.acquire.sphere_rig import SphereRig, photograph, ring
-from livlab.brdf.fit import fit, pack
-from livlab.brdf.fit_problem import Problem
-from livlab.brdf.fit_spread import spread
+from livlab.acquire.instruments.sphere_rig import SphereRig, photograph, ring
+from livlab.acquire.photographs.extract import extract_samples
+from livlab.acquire.photographs.rig import open_rig
+from livlab.brdf.fit.fit import fit, pack
+from livlab.brdf.fit.problem import Problem
+from livlab.brdf.fit.spread import spread
 from livlab.brdf.geometry import Light
 
 PAINT = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.15, "int_ior": 1.5}

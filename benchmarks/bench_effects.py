@@ -11,9 +11,9 @@ import time
 
 import numpy as np
 
-from livlab.acquire.instruments import Collinear, HyperspectralCamera, Instrument, IntegratingSphere
-from livlab.model.effects.plan import plan
-from livlab.model.effects.timing import time_pair
+from livlab.acquire.instruments.models import Collinear, HyperspectralCamera, Instrument, IntegratingSphere
+from livlab.effects.plan import plan
+from livlab.effects.timing import time_pair
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS

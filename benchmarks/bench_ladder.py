@@ -13,10 +13,10 @@ from typing import get_args
 
 import numpy as np
 
-from livlab.acquire.instruments import Instrument, IntegratingSphere
-from livlab.acquire.spectrometer import Accuracy, Sampling, Variant, estimate
+from livlab.acquire.instruments.models import Instrument, IntegratingSphere
+from livlab.acquire.instruments.spectrometer import Accuracy, Sampling, Variant, estimate
 from livlab.errors import InputError
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 
 RUNGS = ("kubelka-munk", "diffusion", "adding-doubling", "ledger", "walk analog", "walk expected", "auto")

@@ -20,13 +20,13 @@ from typing import Any, get_args
 import numpy as np
 
 from livlab.model.tissue.optics import optical_stack
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Phase
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Phase
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.device import Variant
-from livlab.model.transport.ledger import load, record
-from livlab.model.transport.walk import walk
+from livlab.model.transport.ledger.record_ledger import load, record
+from livlab.model.transport.walk.walk import walk
 
 BAND = np.arange(500.0, 720.5)
 ONE = np.ones_like(BAND)

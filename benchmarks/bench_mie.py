@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from miepython import mie_nojit
 
-from livlab.model.tissue.cylinder import cylinder_mean
-from livlab.model.tissue.mie import mie, mie_phase
+from livlab.model.tissue.particles.cylinder import cylinder_mean
+from livlab.model.tissue.particles.sphere import mie, mie_phase
 
 INDEX = 1.5 / 1.35
 

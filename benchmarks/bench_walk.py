@@ -13,11 +13,11 @@ import time
 from dataclasses import dataclass
 from typing import get_args
 
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import OpticalStack, plain_stack
 from livlab.model.transport.device import Variant
-from livlab.model.transport.walk import walk
-from livlab.model.transport.walk_tables import Estimator
+from livlab.model.transport.walk.tables import Estimator
+from livlab.model.transport.walk.walk import walk
 
 HG9 = HenyeyGreenstein(0.9)
 

@@ -11,13 +11,13 @@ import warnings
 from pathlib import Path
 
 COMPILED = [
-    "livlab.brdf.models_coating",
-    "livlab.brdf.models_kernels",
+    "livlab.brdf.models.coating",
+    "livlab.brdf.models.kernels",
     "livlab.model.shapes.transform",
-    "livlab.model.tissue.cylinder_kernels",
-    "livlab.model.tissue.mie_kernels",
-    "livlab.model.tissue.phase_moments",
-    "livlab.model.transport.ledger_kernel",
+    "livlab.model.tissue.particles.cylinder_kernels",
+    "livlab.model.tissue.particles.sphere_kernels",
+    "livlab.model.tissue.phase.moments",
+    "livlab.model.transport.ledger.kernel",
 ]
 """Numba compiles these, and knows nothing of what counts branches."""
 

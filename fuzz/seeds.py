@@ -144,19 +144,19 @@ def _of_folder(name: str, folder: Path) -> list[bytes]:
 
 
 def _run_folder(name: str, place: Path) -> Path:
-    from livlab import runs
     from livlab.config import parse_experiment
+    from livlab.kinds import execute as runs
 
     if (place / "folder").exists():
         return place / "folder"
     if name in ("gallery", "run-picture"):
-        sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "unit"))
+        sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
         import functools
         from unittest import mock
 
         from picture_fakes import BallCamera, small
 
-        from livlab.study import picture
+        from livlab.kinds.picture import job as picture
 
         made = functools.partial(picture.prepare, make_camera=BallCamera)
         with mock.patch.object(picture, "prepare", made):
@@ -217,8 +217,8 @@ def _volume(form: str, folder: Path) -> list[bytes]:
 
 
 def _brdf(form: str, place: Path) -> list[bytes]:
-    from livlab.brdf.files import write_brdf
-    from livlab.brdf.files_mitsuba import write_mitsuba
+    from livlab.brdf.files.formats import write_brdf
+    from livlab.brdf.files.mitsuba import write_mitsuba
     from livlab.brdf.grid import Grid
     from livlab.brdf.samples import sample_dataset
     from livlab.brdf.table import merge
@@ -247,8 +247,8 @@ def _brdf(form: str, place: Path) -> list[bytes]:
 
 
 def _fits() -> list[bytes]:
-    from livlab.brdf.fit import fit
-    from livlab.brdf.models import model
+    from livlab.brdf.fit.fit import fit
+    from livlab.brdf.models.model import model
     from livlab.brdf.samples import sample_dataset
 
     rng = np.random.default_rng(1)
@@ -349,9 +349,9 @@ def _photographs(folder: Path) -> list[bytes]:
 
 
 def _ledger(path: Path) -> bytes:
-    from livlab.model.tissue.phase import HenyeyGreenstein
+    from livlab.model.tissue.phase.functions import HenyeyGreenstein
     from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
-    from livlab.model.transport.ledger import record
+    from livlab.model.transport.ledger.record_ledger import record
 
     w, one = np.array([500.0, 600.0]), np.ones(2)
     part = Interaction("cells", 9.0 * one, 0.9 * one, (HenyeyGreenstein(0.5),) * 2)
@@ -361,8 +361,8 @@ def _ledger(path: Path) -> bytes:
 
 
 def _bench() -> dict[str, Any]:
-    from livlab.acquire.bench import bench_data
-    from livlab.acquire.instruments import HyperspectralCamera
+    from livlab.acquire.instruments.models import HyperspectralCamera
+    from livlab.kinds.spectral.bench import bench_data
     from livlab.model.tissue.presets import load_preset
     from livlab.model.tissue.readings import READINGS
 

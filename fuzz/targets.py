@@ -154,7 +154,7 @@ def _watched() -> Iterator[None]:
 
 def _experiment(path: Path) -> None:
     from livlab.config import load_experiment, to_toml
-    from livlab.runs import canonical
+    from livlab.kinds.execute import canonical
 
     config = load_experiment(path).resolve()
     canonical(config)
@@ -162,7 +162,7 @@ def _experiment(path: Path) -> None:
 
 
 def _rig(path: Path) -> None:
-    from livlab.acquire.rig_file import read_rig_file
+    from livlab.acquire.photographs.rig_file import read_rig_file
 
     read_rig_file(path)
 
@@ -188,20 +188,20 @@ def _dataset(folder: Path) -> None:
 
 
 def _profile(path: Path) -> None:
-    from livlab.acquire.micrograph_table import read_profile
+    from livlab.acquire.micrographs.table import read_profile
 
     read_profile(path)
 
 
 def _micrograph(path: Path) -> None:
-    from livlab.acquire.micrograph_files import read_pages
+    from livlab.acquire.micrographs.files import read_pages
 
     for _ in read_pages(path):
         pass
 
 
 def _brdf(path: Path) -> None:
-    from livlab.brdf.files import read_brdf
+    from livlab.brdf.files.formats import read_brdf
 
     read_brdf(path)
 
@@ -209,7 +209,7 @@ def _brdf(path: Path) -> None:
 def _bsdf(path: Path) -> None:
     import numpy as np
 
-    from livlab.brdf.files_mitsuba import read_mitsuba
+    from livlab.brdf.files.mitsuba import read_mitsuba
 
     material = read_mitsuba(path)
     way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
@@ -220,7 +220,7 @@ def _bsdf(path: Path) -> None:
 def _fit(path: Path) -> None:
     import numpy as np
 
-    from livlab.brdf.files_fit import read_fit
+    from livlab.brdf.files.fitted import read_fit
 
     fitted = read_fit(path)
     way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
@@ -246,26 +246,26 @@ def _slices(folder: Path) -> None:
 
 
 def _photograph(path: Path) -> None:
-    from livlab.acquire.photographs_read import read_photograph
+    from livlab.acquire.photographs.read import read_photograph
 
     read_photograph(path)
 
 
 def _photographs(folder: Path) -> None:
-    from livlab.acquire.photographs_folder import load_folder
+    from livlab.acquire.photographs.diligent import load_folder
 
     load_folder(folder)
 
 
 def _ledger(path: Path) -> None:
-    from livlab.model.transport.ledger_file import load
+    from livlab.model.transport.ledger.file import load
 
     load(path)
 
 
 def _run(folder: Path) -> None:
+    from livlab.kinds.execute import is_complete, read_manifest
     from livlab.reports.folder import read_run
-    from livlab.runs import is_complete, read_manifest
 
     read_manifest(folder)
     is_complete(folder)
@@ -279,7 +279,7 @@ def _report(folder: Path) -> None:
 
 
 def _gallery(folder: Path) -> None:
-    from livlab.reports.gallery import build_gallery
+    from livlab.kinds.picture.gallery import build_gallery
 
     build_gallery([folder / "run"], folder / "gallery")
 

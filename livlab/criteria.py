@@ -15,8 +15,8 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 from typing import Literal
 
+from livlab.core.files import first_line, readable
 from livlab.errors import InputError
-from livlab.files import first_line, readable
 
 LARGEST_BYTES = 1 << 26
 """Of a table of claims."""

@@ -139,7 +139,7 @@ llvm_trouble() { # prints nothing and succeeds when Dr.Jit has a library it can 
   "$VENV/bin/python" -c '
 import sys
 from livlab.errors import LivlabError
-from livlab.llvm import choose_libllvm
+from livlab.machine.llvm import choose_libllvm
 try:
     choose_libllvm()
 except LivlabError as error:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import settings
 
 from livlab.errors import EnvironmentProblem
-from livlab.llvm import choose_libllvm
+from livlab.machine.llvm import choose_libllvm
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 

@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-from livlab.config_errors import nearest
+from livlab.config.errors import nearest
 from livlab.errors import InputError
 
 P = ParamSpec("P")

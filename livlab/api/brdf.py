@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from livlab.brdf.fit_result import FitResult
+    from livlab.brdf.fit.result import FitResult
     from livlab.brdf.geometry import Camera, Light, Sphere
 
 
@@ -38,7 +38,7 @@ def extract(
     progress
         Called with the lights done and all of them, with photographs only.
     options
-        With photographs as `livlab.acquire.photographs_extract.extract_samples`, with images as
+        With photographs as `livlab.acquire.photographs.extract.extract_samples`, with images as
         `livlab.brdf.sphere.extract`.
 
     Returns
@@ -74,9 +74,9 @@ def extract(
 def read(path: Path | str) -> xr.Dataset:
     """Samples or a table from a file: .nc, .csv, .binary (MERL), .bsdf (Mitsuba), .alta, or a fit's .json.
 
-    See `livlab.brdf.files`.
+    See `livlab.brdf.files.formats`.
     """
-    from livlab.brdf.files import read_brdf
+    from livlab.brdf.files.formats import read_brdf
 
     return read_brdf(Path(path))
 
@@ -86,9 +86,9 @@ def write(path: Path | str, data: xr.Dataset | FitResult, *, holes: Any = "refus
 
     `holes` of a table are "refuse", "fill" (marked) or "zero"; a fitted model has none.
     """
-    from livlab.brdf.files import write_brdf, write_fitted
-    from livlab.brdf.files_fit import Fitted
-    from livlab.brdf.fit_result import FitResult
+    from livlab.brdf.files.fitted import Fitted
+    from livlab.brdf.files.formats import write_brdf, write_fitted
+    from livlab.brdf.fit.result import FitResult
 
     if isinstance(data, FitResult):
         values = {str(name): found.to_numpy() for name, found in data.parameters().items()}
@@ -99,9 +99,9 @@ def write(path: Path | str, data: xr.Dataset | FitResult, *, holes: Any = "refus
 
 
 def fit_model(data: xr.Dataset, model: str, *, loss: Any = "cosine-weighted-l2", **options: Any) -> FitResult:
-    """Fit a model ("lambert+ggx") to samples or a table; further options as `livlab.brdf.fit.fit`."""
-    from livlab.brdf.files import cells_as_samples
-    from livlab.brdf.fit import fit
+    """Fit a model ("lambert+ggx") to samples or a table; further options as `livlab.brdf.fit.fit.fit`."""
+    from livlab.brdf.files.formats import cells_as_samples
+    from livlab.brdf.fit.fit import fit
 
     samples = data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
     return fit(samples, model, loss=loss, **options)
@@ -123,7 +123,7 @@ def plot(data: xr.Dataset, found: FitResult | None = None, *, title: str = "") -
     -------
     The figure's axes, colour bars' last; `axes[0].figure` is the figure.
     """
-    from livlab.brdf.files import cells_as_samples
+    from livlab.brdf.files.formats import cells_as_samples
     from livlab.reports.sphere_figures import lobes_of, sphere_figure
 
     samples = data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
@@ -136,8 +136,8 @@ def plot(data: xr.Dataset, found: FitResult | None = None, *, title: str = "") -
 
 
 def _from_photographs(path: Path, progress: Callable[[int, int], None] | None, options: dict[str, Any]) -> xr.Dataset:
-    from livlab.acquire.photographs import open_rig
-    from livlab.acquire.photographs_extract import extract_samples
+    from livlab.acquire.photographs.extract import extract_samples
+    from livlab.acquire.photographs.rig import open_rig
 
     photographs = open_rig(path)
     found = extract_samples(photographs, progress=progress, **options)

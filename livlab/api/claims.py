@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from livlab import markup
+from livlab.core import markup
 from livlab.criteria import COLUMNS, Claim, format_value, format_with_error
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class Claims(tuple[Claim, ...]):
         InputError
             There is none.
         """
-        from livlab.config_errors import nearest
+        from livlab.config.errors import nearest
         from livlab.errors import InputError
 
         names = [claim.criterion for claim in self]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from livlab import markup
 from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.api.sources import as_spectrum
+from livlab.core import markup
 from livlab.criteria import format_value, format_with_error
 from livlab.errors import InputError
 from livlab.metrics import Interval, Normalisation, amplitude_ratio, bootstrap_interval, mse, pearson, rmse

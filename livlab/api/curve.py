@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from livlab import markup
+from livlab.core import markup
 from livlab.errors import InputError, RangeError
 from livlab.units import FloatArray
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from livlab.config_spectral import SpectralExperiment
+    from livlab.kinds.spectral.config import SpectralExperiment
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,7 +67,7 @@ class Spectrum:
     experiment: SpectralExperiment | None = field(default=None)
 
     def __post_init__(self) -> None:
-        from livlab.acquire.curves import check_grid
+        from livlab.curves import check_grid
 
         for key in ("wavelength_nm", "value", "standard_error"):
             # A copy that cannot be written: a spectrum is passed on, and must not change under its holder.
@@ -213,7 +213,7 @@ class Spectrum:
 
     def to_csv(self, path: Path | str) -> Path:
         """Write wavelength, value and standard error, whole or not at all; `livlab.read_spectrum` reads it again."""
-        from livlab.runs_files import csv_text, write_whole
+        from livlab.runs.files import csv_text, write_whole
 
         def shown(x: float) -> float | None:
             return float(x) if np.isfinite(x) else None

@@ -1,4 +1,4 @@
-"""Tissue values from measured curves in one call: `livlab.study.fit` over curves that are in memory."""
+"""Tissue values from measured curves in one call: `livlab.fitting.fit` over curves that are in memory."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from livlab import markup
 from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.api.simulate import ENDLESS, Part, TissueLike, part, readings_of, tissue
 from livlab.api.sources import as_spectrum
 from livlab.config import check_experiment
+from livlab.core import markup
 from livlab.criteria import format_with_error
 from livlab.errors import InputError
+from livlab.fitting.targets import Loss, Scaling, Target
 from livlab.model.tissue.readings import READINGS, Reading
 from livlab.model.tissue.tissue import Tissue
-from livlab.study.fit_targets import Loss, Scaling, Target
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pydantic import BaseModel
 
-    from livlab.config_fit import FitExperiment
-    from livlab.study.fit import FitOutcome
-    from livlab.study.fit_setup import Curve
+    from livlab.fitting.fit import FitOutcome
+    from livlab.kinds.fit.config import FitExperiment
+    from livlab.kinds.fit.setup import Curve
 
 Bounds = tuple[float, float] | tuple[float, float, float] | Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Of a parameter: (low, high), (low, high, start), or a table as [[parameter]] in docs/studies.md; a list of tables
@@ -201,8 +201,8 @@ def fit(
     EnvironmentProblem
         There is no usable libLLVM.
     """
-    from livlab.study import fit_tables
-    from livlab.study.fit_setup import FitSetup, scene_of
+    from livlab.kinds.fit import tables as fit_tables
+    from livlab.kinds.fit.setup import FitSetup, scene_of
 
     curves = _curves(measured)
     first = next(iter(curves.values()))
@@ -283,7 +283,7 @@ def _asked(
     InputError
         Something said of a curve that there is none of, or that the curve itself says.
     """
-    from livlab.config_errors import nearest
+    from livlab.config.errors import nearest
 
     for name, said in (given or {}).items():
         if name not in curves:
@@ -306,7 +306,7 @@ def _experiment(
     measurements: Mapping[str, dict[str, Any]],
 ) -> FitExperiment:
     """The call as an experiment, so that it is checked as a file's would be."""
-    from livlab.config_fit import FitExperiment
+    from livlab.kinds.fit.config import FitExperiment
 
     if not isinstance(parameters, Mapping) or not parameters:
         raise InputError.of("parameters", parameters, "must be bounds by path", "Give {path: (low, high)}.")
@@ -344,7 +344,7 @@ def _tissue(given: TissueLike, state: str | None, variant: str, changes: Mapping
 
 
 def _curve(s: Spectrum, grid: FloatArray) -> Curve:
-    from livlab.study.fit_setup import Curve
+    from livlab.kinds.fit.setup import Curve
 
     ends = float(s.wavelength_nm[0]), float(s.wavelength_nm[-1])
     inside = (grid >= ends[0]) & (grid <= ends[1])

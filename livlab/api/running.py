@@ -10,21 +10,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from livlab import markup
 from livlab.api.arguments import explained
 from livlab.api.claims import Claims
 from livlab.api.curve import Spectrum
 from livlab.config import Experiment, check_experiment, load_experiment
+from livlab.core import markup
 from livlab.errors import InputError
-from livlab.runs_work import Progress, Silent
+from livlab.runs.work import Progress, Silent
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from matplotlib.axes import Axes
 
+    from livlab.kinds.again import Again
     from livlab.reports.folder import RunData
-    from livlab.runs_again import Again
 
 _MAIN = {"spectral": "spectra", "fit": "fit", "study": "results", "picture": "pictures", "brdf": "fits"}
 
@@ -108,7 +108,7 @@ class RunResult:
             The run has none of that name.
         """
         if name not in self.tables:
-            from livlab.config_errors import nearest
+            from livlab.config.errors import nearest
 
             hint = nearest(name, list(self.tables)) or f"It has: {', '.join(self.tables)}."
             raise InputError.of("table", name, f"is none of run {self.name}", hint)
@@ -243,7 +243,7 @@ def run(
     report
         Whether to build the report.
     progress
-        True prints lines; or an object of one's own (`livlab.runs_work.Progress`).
+        True prints lines; or an object of one's own (`livlab.runs.work.Progress`).
     scheduler, store
         Of a study: where its jobs run, and a folder of results that several runs share.
 
@@ -258,7 +258,7 @@ def run(
     Interrupted
         The user stopped it; calling again goes on.
     """
-    from livlab.runs import execute
+    from livlab.kinds.execute import execute
 
     if isinstance(config, Experiment):
         experiment = config
@@ -313,9 +313,9 @@ def rerun(run: RunResult | Path | str, *, out: Path | str | None = None, progres
     Raises
     ------
     InputError, DatasetError
-        As `livlab.runs_again.read_original` and `run_again`.
+        As `livlab.kinds.again.read_original` and `run_again`.
     """
-    from livlab.runs_again import read_original, run_again
+    from livlab.kinds.again import read_original, run_again
 
     folder = run.folder if isinstance(run, RunResult) else Path(run)
     base = None if out is None else Path(out)

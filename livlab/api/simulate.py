@@ -20,7 +20,7 @@ from livlab.model.tissue.tissue import Tissue, override
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from livlab.config_spectral import SpectralExperiment
+    from livlab.kinds.spectral.config import SpectralExperiment
 
 TissueLike = Tissue | str | Path | Mapping[str, Any]
 """A tissue, a preset's name, the path of a preset file (TOML), or a tissue written out as a table."""
@@ -138,10 +138,10 @@ def spectrum(
     >>> bool(found.value[0] < found.value[2])  # blood absorbs green, not red
     True
     """
-    from livlab.acquire.instruments import AddingDoublingSolver
-    from livlab.acquire.spectrometer import measure
+    from livlab.acquire.instruments.models import AddingDoublingSolver
+    from livlab.acquire.instruments.spectrometer import measure
+    from livlab.kinds.spectral.job import reading_seed
     from livlab.model.tissue.optics import optical_stack
-    from livlab.study.spectral import reading_seed
 
     config = spectral_experiment(
         tissue, reading, wavelengths_nm, state=state, variant=variant, changes=changes, instrument=instrument,
@@ -151,7 +151,7 @@ def spectrum(
     stack, looks = optical_stack(chosen, own, config.wavelengths.grid()), config.instrument
     said: tuple[str, ...] = ()
     if config.effects is not None:
-        from livlab.model.effects.plan import plan
+        from livlab.effects.plan import plan
 
         planned = plan(
             stack,
@@ -201,7 +201,7 @@ def spectral_experiment(
     device: str,
 ) -> SpectralExperiment:
     """The arguments of `spectrum` as an experiment, resolved."""
-    from livlab.config_spectral import SpectralExperiment
+    from livlab.kinds.spectral.config import SpectralExperiment
 
     made = _tissue(tissue, state=state, variant=variant, changes=changes)
     data: dict[str, Any] = {

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from livlab.brdf.files import cells_as_samples
+from livlab.brdf.files.formats import cells_as_samples
 from livlab.brdf.lookup import lookup
 from livlab.brdf.table import merge
 from livlab.errors import InputError

@@ -22,15 +22,15 @@ from typing import TYPE_CHECKING, Any
 from livlab.errors import Interrupted, LivlabError
 
 if TYPE_CHECKING:
-    from livlab.study.validate import Ended, Planned, Runner
+    from livlab.dossier.validate import Ended, Planned, Runner
 
 
 def runner(base: Path, *, scheduler: str = "local", quiet: bool = False) -> Runner:
-    """How `livlab.study.validate` runs one experiment.
+    """How `livlab.dossier.validate` runs one experiment.
 
     A Ctrl-C or SIGTERM here is passed on: the first lets the experiment save its batch, the second stops it at once.
     """
-    from livlab.study.validate import Ended
+    from livlab.dossier.validate import Ended
 
     def run(one: Planned) -> Ended:
         context = multiprocessing.get_context("spawn")
@@ -106,7 +106,7 @@ def _child(send: Connection, one: Planned, base: Path, scheduler: str, quiet: bo
 def _run(one: Planned, base: Path, scheduler: str, quiet: bool) -> dict[str, Any]:
     from livlab.cli.progress import watched
     from livlab.config import KINDS
-    from livlab.runs import execute
+    from livlab.kinds.execute import execute
 
     assert one.config is not None
     has_jobs = KINDS[one.config.plain()["kind"]].jobs

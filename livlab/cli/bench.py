@@ -11,7 +11,7 @@ from rich.console import Console
 from livlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from livlab.config_spectral import SpectralExperiment
+    from livlab.kinds.spectral.config import SpectralExperiment
 
 
 def register(app: typer.Typer) -> None:
@@ -48,9 +48,9 @@ def bench(
 def _recorded(file: Path, wanted: str | None, standard_error: float) -> tuple[str, dict[str, Any]]:
     from livlab.cli.progress import watched
     from livlab.config import load_experiment
-    from livlab.config_errors import nearest
-    from livlab.config_spectral import SpectralExperiment
-    from livlab.study.spectral import bench_of
+    from livlab.config.errors import nearest
+    from livlab.kinds.spectral.config import SpectralExperiment
+    from livlab.kinds.spectral.job import bench_of
 
     experiment = load_experiment(file)
     if not isinstance(experiment, SpectralExperiment):

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from livlab.core.files import missing_folder
 from livlab.errors import InputError
-from livlab.files import missing_folder
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from rich.console import Console
 
-    from livlab.acquire.error_budget import ErrorBudget
-    from livlab.acquire.photographs import PhotographedRig
-    from livlab.acquire.photographs_extract import Extracted
-    from livlab.brdf.fit_loss import LossName
+    from livlab.acquire.photographs.error_budget import ErrorBudget
+    from livlab.acquire.photographs.extract import Extracted
+    from livlab.acquire.photographs.rig import PhotographedRig
+    from livlab.brdf.fit.loss import LossName
 
 app = typer.Typer(no_args_is_help=True, help="BRDFs from photographs of spheres: extract, fit, compare, plot, convert.")
 
@@ -52,10 +52,10 @@ def extract(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Samples of a BRDF from photographs of a sphere; what is wrong or uncorrected is told."""
-    from livlab.acquire.photographs import open_rig
-    from livlab.acquire.photographs_extract import extract_samples
-    from livlab.brdf.files import write_brdf
-    from livlab.brdf.models import model
+    from livlab.acquire.photographs.extract import extract_samples
+    from livlab.acquire.photographs.rig import open_rig
+    from livlab.brdf.files.formats import write_brdf
+    from livlab.brdf.models.model import model
 
     _writable(output, (".nc", ".csv", ".binary", ".bsdf"))
     if not 0 < max_angle < 90:
@@ -97,8 +97,8 @@ def fit(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Fit a model, with intervals and what is to be mistrusted."""
-    from livlab.brdf import fit as fits
-    from livlab.runs_files import write_whole
+    from livlab.brdf.fit import fit as fits
+    from livlab.runs.files import write_whole
 
     if output is not None:
         _writable(output, (".json",))
@@ -117,7 +117,7 @@ def compare(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Rank models on one file, or compare files with the first one."""
-    from livlab.brdf import fit as fits
+    from livlab.brdf.fit import fit as fits
 
     if len(files) == 1 and models:
         data = _samples(files[0])
@@ -132,7 +132,7 @@ def compare(
     import pandas as pd
 
     from livlab.brdf.difference import difference
-    from livlab.brdf.files import read_brdf
+    from livlab.brdf.files.formats import read_brdf
 
     first = read_brdf(files[0])
     rows = [{"file": other.name, **difference(first, read_brdf(other))} for other in files[1:]]
@@ -147,10 +147,10 @@ def plot(
     loss: Loss = DEFAULT_LOSS,
 ) -> None:
     """Draw the sphere with residuals, polar lobes, and cells with their holes."""
-    from livlab.brdf import fit as fits
+    from livlab.brdf.fit import fit as fits
     from livlab.reports.figures import style
     from livlab.reports.sphere_figures import lobes_of, sphere_figure
-    from livlab.runs_files import write_whole
+    from livlab.runs.files import write_whole
 
     _writable(output, (".png", ".svg", ".pdf"))
     data = _samples(file)
@@ -179,8 +179,8 @@ def convert(
     ] = "refuse",
 ) -> None:
     """Convert between files of BRDFs; of a fit the model is written, which has no holes."""
-    from livlab.brdf.files import read_brdf, write_brdf, write_fitted
-    from livlab.brdf.files_fit import read_fit
+    from livlab.brdf.files.fitted import read_fit
+    from livlab.brdf.files.formats import read_brdf, write_brdf, write_fitted
 
     _writable(target, (".nc", ".csv", ".binary", ".bsdf"))
     if holes not in ("refuse", "fill", "zero"):
@@ -208,7 +208,7 @@ def _loss(name: str) -> LossName:
 
 
 def _samples(path: Path) -> xr.Dataset:
-    from livlab.brdf.files import cells_as_samples, read_brdf
+    from livlab.brdf.files.formats import cells_as_samples, read_brdf
 
     data = read_brdf(path)
     return data if data.attrs["kind"] == "BRDF samples" else cells_as_samples(data)
@@ -266,7 +266,7 @@ def _show_budget(console: Console, parts: ErrorBudget) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from livlab.acquire.error_budget import SOURCES
+    from livlab.acquire.photographs.error_budget import SOURCES
 
     table = Table(header_style="bold", box=None, pad_edge=False, title="Error budget: share of the variance, and sd")
     table.add_column("source")
@@ -329,7 +329,7 @@ def _show_table(table: pd.DataFrame, title: str, *, as_json: bool) -> None:
 
 
 def _budget(rig: PhotographedRig, samples: xr.Dataset, which: str, loss: str) -> ErrorBudget:
-    from livlab.acquire.error_budget import error_budget, fitted
+    from livlab.acquire.photographs.error_budget import error_budget, fitted
 
     evaluate, _ = fitted(samples, which, _loss(loss))
     return error_budget(rig, samples, evaluate)

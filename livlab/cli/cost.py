@@ -16,8 +16,8 @@ from livlab.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from livlab.config_spectral import SpectralExperiment
-    from livlab.study.cost import CostRow
+    from livlab.kinds.checks.cost import CostRow
+    from livlab.kinds.spectral.config import SpectralExperiment
 
 
 def register(app: typer.Typer) -> None:
@@ -35,10 +35,10 @@ def cost(
 ) -> None:
     """Say what accuracy costs on an experiment's scene: error against time of every solver and sample count."""
     from livlab.config import load_experiment
-    from livlab.config_spectral import SpectralExperiment
+    from livlab.kinds.checks.cost import cost as study
+    from livlab.kinds.spectral.config import SpectralExperiment
     from livlab.model.tissue.optics import optical_stack
     from livlab.reports.cost import sentence
-    from livlab.study.cost import cost as study
 
     experiment = load_experiment(file)
     if not isinstance(experiment, SpectralExperiment):
@@ -67,7 +67,7 @@ def cost(
 
 
 def _run_folder(experiment: SpectralExperiment) -> Path:
-    from livlab.runs import dataset_hashes, digest, folder_of
+    from livlab.kinds.execute import dataset_hashes, digest, folder_of
 
     resolved = experiment.resolve()
     return folder_of(resolved, digest(resolved, dataset_hashes(resolved.datasets())), Path("runs"))
@@ -77,11 +77,11 @@ def _write(folder: Path, reading: str, rows: list[CostRow]) -> Path:
     """The table, the figure twice, and the run's report anew if there is one."""
     from io import BytesIO
 
+    from livlab.kinds.checks.cost import COLUMNS
+    from livlab.kinds.execute import read_manifest, rebuild_report
     from livlab.reports.cost import cost_figure
     from livlab.reports.figures import style, svg
-    from livlab.runs import read_manifest, rebuild_report
-    from livlab.runs_files import csv_text, open_folder, write_whole
-    from livlab.study.cost import COLUMNS
+    from livlab.runs.files import csv_text, open_folder, write_whole
 
     open_folder(folder.parent)
     open_folder(folder)

@@ -25,7 +25,7 @@ def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Look at Python, packages, libLLVM, variants, GPU and machine; exit with 3 when something blocks."""
-    from livlab.doctor import blocked, examine
+    from livlab.machine.doctor import blocked, examine
 
     findings = examine()
     if as_json:

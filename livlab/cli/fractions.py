@@ -13,7 +13,7 @@ from livlab.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from livlab.acquire.micrograph import LayerTable, PageFractions
+    from livlab.acquire.micrographs.fractions import LayerTable, PageFractions
 
 
 def register(app: typer.Typer) -> None:
@@ -41,8 +41,8 @@ def fractions(
     """
     from rich.console import Console
 
-    from livlab.acquire.micrograph import Method, Roi, layer_table, measure_files
-    from livlab.acquire.micrograph_table import write_table
+    from livlab.acquire.micrographs.fractions import Method, Roi, layer_table, measure_files
+    from livlab.acquire.micrographs.table import write_table
 
     if output is not None and output.suffix not in (".csv", ".toml"):
         raise InputError.of("output", str(output), "must end in .csv or .toml", "Name it so.")

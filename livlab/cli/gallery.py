@@ -31,7 +31,7 @@ def gallery(
     table: Annotated[bool, typer.Option("--table", help="No page: print the pictures' numbers as a table.")] = False,
 ) -> None:
     """Put the pictures of several runs on one page that needs no network."""
-    from livlab.reports.gallery import build_gallery
+    from livlab.kinds.picture.gallery import build_gallery
 
     folders = list(runs) if runs else finished(base)
     if not folders:
@@ -39,14 +39,14 @@ def gallery(
             f"{base} holds no finished picture.", remedy="Make some: livlab run experiments/liver-*.toml, or name runs."
         )
     if table:
-        from livlab.reports.gallery_table import picture_table
+        from livlab.kinds.picture.gallery_table import picture_table
 
         typer.echo(picture_table(folders))
         return
     if small is None:
         typer.echo(build_gallery(folders, out))
         return
-    from livlab.reports.gallery_small import small_copies
+    from livlab.kinds.picture.gallery_small import small_copies
 
     for path in small_copies(folders, out, small):
         typer.echo(path)
@@ -54,7 +54,7 @@ def gallery(
 
 def finished(base: Path) -> list[Path]:
     """Complete picture runs under a folder, by name; of several of one name the latest."""
-    from livlab.runs import read_manifest
+    from livlab.kinds.execute import read_manifest
 
     latest: dict[str, tuple[str, Path]] = {}
     for folder in sorted(base.iterdir()) if base.is_dir() else []:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from livlab.core.files import missing_folder
 from livlab.errors import InputError
-from livlab.files import missing_folder
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -16,7 +16,7 @@ from rich.table import Table
 from livlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from livlab.model.effects.plan import Plan
+    from livlab.effects.plan import Plan
 
 _COLOURS = {"dropped": "green", "forced off": "yellow", "forced on": "yellow", "–": "dim"}
 
@@ -38,14 +38,14 @@ def plan(
 ) -> None:
     """Say which effects an experiment's scenes call for: what each changes at most, and what leaving it out saves."""
     from livlab.config import load_experiment
-    from livlab.config_spectral import SpectralExperiment
+    from livlab.kinds.spectral.config import SpectralExperiment
 
     experiment = load_experiment(file)
     if not isinstance(experiment, SpectralExperiment):
         raise ConfigError(f"{file} is no spectral experiment.", remedy="A plan needs plane layers under an instrument.")
     plans = _plans(experiment, tolerance)
     if measure:
-        from livlab.model.effects.timing import measured
+        from livlab.effects.timing import measured
 
         plans = {name: measured(made, variant=experiment.variant) for name, made in plans.items()}
     if as_json:
@@ -59,9 +59,9 @@ def plan(
 
 def _plans(experiment: object, tolerance: float | None) -> dict[str, Plan]:
     """One plan a reading."""
-    from livlab.config_spectral import SpectralExperiment
-    from livlab.model.effects.config import EffectsConfig
-    from livlab.model.effects.plan import plan as make
+    from livlab.effects.config import EffectsConfig
+    from livlab.effects.plan import plan as make
+    from livlab.kinds.spectral.config import SpectralExperiment
     from livlab.model.tissue.optics import optical_stack
 
     assert isinstance(experiment, SpectralExperiment)

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from livlab.runs_work import Progress, Silent
+from livlab.runs.work import Progress, Silent
 
 
 class BarProgress:

@@ -14,7 +14,7 @@ from rich.table import Table
 from livlab.errors import Interrupted
 
 if TYPE_CHECKING:
-    from livlab.runs_again import Again
+    from livlab.kinds.again import Again
 
 _COLOURS = {"differs": "bold red", "only before": "bold red", "only now": "bold red", "not compared": "dim"}
 
@@ -38,7 +38,7 @@ def rerun(
     Exit status 1 if they differ, or if a file of RUN was changed since.
     """
     from livlab.cli.progress import watched
-    from livlab.runs_again import as_record, read_original, run_again
+    from livlab.kinds.again import as_record, read_original, run_again
 
     original = read_original(run)
     try:

@@ -17,7 +17,7 @@ from rich.text import Text
 from livlab.errors import ConfigError, Interrupted
 
 if TYPE_CHECKING:
-    from livlab.runs import Outcome
+    from livlab.kinds.execute import Outcome
 
 _COLOURS = {"PASS": "green", "FAIL": "bold red", "MISSING": "yellow"}
 
@@ -52,11 +52,11 @@ def run(
     """Run experiments: simulate, measure, compare, report. What is done already is found, not done again."""
     from livlab.cli.progress import watched
     from livlab.config import KINDS, load_experiment
-    from livlab.runs import execute
+    from livlab.kinds.execute import execute
 
     experiments = [(file, load_experiment(file)) for file in files]
     if scheduler != "local":
-        from livlab.study.scheduler import open_scheduler
+        from livlab.jobs.scheduler import open_scheduler
 
         open_scheduler(scheduler)  # a slip is told before anything runs
     for file, experiment in experiments:
@@ -93,7 +93,7 @@ def schema(
 ) -> None:
     """Print the JSON Schema of experiment files, for editors that complete and check as one types."""
     from livlab.config import json_schema
-    from livlab.runs_files import write_whole
+    from livlab.runs.files import write_whole
 
     text = json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
     if out is None:
@@ -107,7 +107,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="A run folder, runs/NAME-DIGEST.", metavar="RUN")],
 ) -> None:
     """Build the report of a run folder again, from its files alone."""
-    from livlab.runs import read_manifest, rebuild_report
+    from livlab.kinds.execute import read_manifest, rebuild_report
 
     if not folder.is_dir():
         raise ConfigError(f"{folder} is no run folder.", remedy="Name a folder that `livlab run` made.")
@@ -148,7 +148,7 @@ def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:
 
 def _say_why(console: Console, outcome: Outcome) -> None:
     """Why claims are MISSING, each reason once."""
-    from livlab.runs import read_manifest
+    from livlab.kinds.execute import read_manifest
 
     missing = {claim["criterion"] for claim in outcome.claims if claim["verdict"] == "MISSING"}
     notes = read_manifest(outcome.folder).get("claim_notes")

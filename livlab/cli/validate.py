@@ -14,8 +14,8 @@ from rich.table import Table
 from livlab.errors import ConfigError, Interrupted
 
 if TYPE_CHECKING:
-    from livlab.study.validate import Ended, Planned
-    from livlab.study.validate_baseline import Baseline, Change
+    from livlab.dossier.baseline import Baseline, Change
+    from livlab.dossier.validate import Ended, Planned
 
 RECORD = "validation.json"
 
@@ -51,10 +51,10 @@ def validate(
 ) -> None:
     """Run or reuse every experiment and build the dossier: every claim, and the thesis's figures beside ours."""
     from livlab.cli.apart import runner
-    from livlab.config_dossier import builtin_dossier, load_dossier
-    from livlab.study.validate import planned, record
-    from livlab.study.validate import validate as work
-    from livlab.study.validate_baseline import compare, load_baseline, told, updated, write_baseline
+    from livlab.dossier.baseline import compare, load_baseline, told, updated, write_baseline
+    from livlab.dossier.config import builtin_dossier, load_dossier
+    from livlab.dossier.validate import planned, record
+    from livlab.dossier.validate import validate as work
 
     file = dossier or builtin_dossier()
     config = load_dossier(file)
@@ -64,7 +64,7 @@ def validate(
     if check and not held.file:
         raise ConfigError(f"{held_file}: there is no baseline to check against.", remedy="Make it: --update-baseline.")
     if scheduler != "local":
-        from livlab.study.scheduler import open_scheduler
+        from livlab.jobs.scheduler import open_scheduler
 
         open_scheduler(scheduler)  # a slip is told before anything runs
     experiments = planned(config, file, chosen)
@@ -101,15 +101,15 @@ def validate(
 
 def _seconds(e: Ended) -> float:
     """What a run took when it ran, be it now or before."""
-    from livlab.runs import read_manifest
+    from livlab.kinds.execute import read_manifest
 
     return float(read_manifest(e.folder).get("seconds", e.seconds)) if e.folder is not None else e.seconds
 
 
 def _site(data: dict[str, object], out: Path) -> Path:
-    from livlab.files import write_whole
-    from livlab.reports.dossier import build_dossier
-    from livlab.runs_files import open_folder
+    from livlab.core.files import write_whole
+    from livlab.dossier.build import build_dossier
+    from livlab.runs.files import open_folder
 
     open_folder(out)
     write_whole(out / RECORD, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
@@ -118,7 +118,7 @@ def _site(data: dict[str, object], out: Path) -> Path:
 
 def _show(experiments: list[Planned], ended: dict[str, Ended], *, quiet: bool) -> None:
     """A line an experiment, then what is missing: it is never silent."""
-    from livlab.study.validate_baseline import verdicts
+    from livlab.dossier.baseline import verdicts
 
     found = verdicts(ended)
     console = Console(width=None if Console().is_terminal else 160)

@@ -9,9 +9,9 @@ from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from livlab.core.files import readable
+from livlab.core.toml_text import parse_toml
 from livlab.errors import DatasetError, InputError, briefly
-from livlab.files import readable
-from livlab.toml_text import parse_toml
 
 Kind = Literal["tabulated", "digitised", "fit", "assumed"]
 KINDS: tuple[Kind, ...] = ("tabulated", "digitised", "fit", "assumed")

@@ -12,8 +12,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from livlab.core.files import first_line, readable, write_whole
 from livlab.errors import InputError
-from livlab.files import first_line, readable, write_whole
 from livlab.reports.folder import AGAIN, LARGEST_BYTES, RunData
 from livlab.reports.tables import Section
 
@@ -34,7 +34,7 @@ def bench_markup(data: Mapping[str, Any], name: str = "bench") -> Markup:
     Parameters
     ----------
     data
-        As `livlab.acquire.bench.bench_data` makes it.
+        As `livlab.kinds.spectral.bench.bench_data` makes it.
     name
         Id, one a page.
     """

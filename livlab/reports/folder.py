@@ -12,11 +12,11 @@ from typing import Any
 import pandas as pd
 import xarray as xr
 
+from livlab.core.files import first_line, readable
+from livlab.core.netcdf import NetcdfTrouble, load_netcdf
+from livlab.core.toml_text import parse_toml
 from livlab.errors import InputError, LivlabError
-from livlab.files import first_line, readable
-from livlab.netcdf import NetcdfTrouble, load_netcdf
-from livlab.runs_files import sha256
-from livlab.toml_text import parse_toml
+from livlab.runs.files import sha256
 
 LARGEST_BYTES = 1 << 28
 """Of a table; a run's are some MiB."""

@@ -31,19 +31,19 @@ from livlab.reports.tables import (
     number,
     with_error,
 )
-from livlab.runs_files import told_plainly, write_whole
+from livlab.runs.files import told_plainly, write_whole
 
 ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
 
 BODIES = {
-    "fit": "livlab.reports.fit:fit_sections",
+    "fit": "livlab.kinds.fit.report:fit_sections",
     "ladder": "livlab.reports.page:tissue_sections",
-    "optics": "livlab.reports.optics:sections",
-    "brdf": "livlab.reports.brdf:brdf_sections",
+    "optics": "livlab.kinds.optics.report:sections",
+    "brdf": "livlab.kinds.brdf.report:brdf_sections",
     "spectral": "livlab.reports.page:spectral_sections",
-    "picture": "livlab.reports.picture:picture_sections",
+    "picture": "livlab.kinds.picture.report:picture_sections",
     "stress": "livlab.reports.page:tissue_sections",
-    "study": "livlab.reports.study:study_sections",
+    "study": "livlab.kinds.study.report:study_sections",
 }
 """What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> list[Section]`,
 as "module:function", imported on use."""

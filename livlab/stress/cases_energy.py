@@ -34,7 +34,7 @@ def energy(
     if solver == "adding-doubling":
         r = adding_doubling(stack, tolerance=1e-4)
         return values(balance=np.abs(closed(r) - 1.0).max())
-    from livlab.model.transport.walk import Source, walk
+    from livlab.model.transport.walk.walk import Source, walk
 
     width = None if half_width_mm is None else float(half_width_mm)
     source = Source.collimated() if width is None else Source.collimated(square_half_width_mm=width)
@@ -58,7 +58,7 @@ def clear_liver(wavelength_nm: list[float]) -> dict[str, Measured]:
     `rates`: the largest rate left; the rest as reflected and transmitted by adding–doubling and by the walk.
     """
     from livlab.model.transport.fresnel import incoherent_stack
-    from livlab.model.transport.walk import walk
+    from livlab.model.transport.walk.walk import walk
 
     stack = optical_stack(_emptied(), named_reading("consistent"), wavelength_nm)
     rates = max(float(i.rate.max()) for layer in stack.layers for i in layer.interactions)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from livlab.model.tissue.cylinder import cylinder as solve_cylinder
-from livlab.model.tissue.cylinder import cylinder_mean as solve_cylinder_mean
-from livlab.model.tissue.mie import mie as solve_sphere
-from livlab.model.tissue.mie import mie_phase
-from livlab.model.tissue.phase import PhaseFunction, Tabulated, kernel_table
+from livlab.model.tissue.particles.cylinder import cylinder as solve_cylinder
+from livlab.model.tissue.particles.cylinder import cylinder_mean as solve_cylinder_mean
+from livlab.model.tissue.particles.sphere import mie as solve_sphere
+from livlab.model.tissue.particles.sphere import mie_phase
+from livlab.model.tissue.phase.functions import PhaseFunction, Tabulated, kernel_table
 from livlab.stress.inputs import phase as made_phase
 from livlab.stress.measured import Measured, index, runner, values
 
@@ -100,10 +100,10 @@ def device_samplers(phases: list[list[Any]]) -> dict[str, Measured]:
     `outside`: values of 1 − cos θ not within [0, 2]. `difference`: largest difference from the double-precision
     quantile; tables interpolate, which is counted apart as the shift in probability that it means.
     """
-    from livlab.model.transport import walk_events
     from livlab.model.transport.device import device
     from livlab.model.transport.rng import uniform
-    from livlab.model.transport.walk_tables import tables
+    from livlab.model.transport.walk import events as walk_events
+    from livlab.model.transport.walk.tables import tables
 
     d = device("llvm")
     bits = d.UInt32([0, 1, 255, 256, 511, 1 << 30, 1 << 31, (1 << 31) - 1, 3 << 30, 0xFFFFFEFF, 0xFFFFFFFF])

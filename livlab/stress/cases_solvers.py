@@ -41,7 +41,7 @@ def solvers(
 
 
 def _walked(stack: OpticalStack, exact: xr.Dataset, estimator: str, samples: int, angle: float) -> dict[str, Measured]:
-    from livlab.model.transport.walk import Source, walk
+    from livlab.model.transport.walk.walk import Source, walk
 
     r = walk(
         stack,
@@ -62,7 +62,7 @@ def _walked(stack: OpticalStack, exact: xr.Dataset, estimator: str, samples: int
 
 
 def _recorded(stack: OpticalStack, exact: xr.Dataset, samples: int, angle: float) -> dict[str, Measured]:
-    from livlab.model.transport.ledger import record
+    from livlab.model.transport.ledger.record_ledger import record
     from livlab.model.transport.source import Source
 
     ledger = record(stack, samples=samples // 4, seed=5, source=Source.collimated(angle), check_bias=False)
@@ -84,9 +84,9 @@ def ledger_absorptions(
 
     `z` and `error` where the ledger calls itself valid; `valid`: at how many of the absorptions it does.
     """
-    from livlab.model.tissue.phase import HenyeyGreenstein
+    from livlab.model.tissue.phase.functions import HenyeyGreenstein
     from livlab.model.tissue.stack import Interaction, PlaneLayer
-    from livlab.model.transport.ledger import record
+    from livlab.model.transport.ledger.record_ledger import record
 
     one = np.ones(len(absorption))
     phases = (HenyeyGreenstein(g),) * len(absorption)

@@ -19,7 +19,7 @@ def lane_sums(contributions: list[float], photons: int) -> dict[str, Measured]:
     """
     from livlab.model.transport.device import device
     from livlab.model.transport.tally import LANE_PHOTONS, Moments
-    from livlab.model.transport.walk_observers import Register
+    from livlab.model.transport.walk.observers import Register
 
     d, lanes = device("llvm"), 1 << 14
     blocks = math.ceil(photons / (lanes * LANE_PHOTONS))
@@ -46,7 +46,7 @@ def mixed_sums(photons: int, seed: int) -> dict[str, Measured]:
     """A register's sum of contributions from 1e-12 to 1, in random order and of both signs, against an exact sum."""
     from livlab.model.transport.device import device
     from livlab.model.transport.tally import LANE_PHOTONS
-    from livlab.model.transport.walk_observers import Register
+    from livlab.model.transport.walk.observers import Register
 
     d = device("llvm")
     lanes = photons // LANE_PHOTONS

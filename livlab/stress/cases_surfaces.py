@@ -19,8 +19,8 @@ def fresnel(n_from: Any, n_to: Any, mu: Any) -> dict[str, Measured]:
 @runner
 def fresnel_kernel(n_from: Any, n_to: Any, mu: Any) -> dict[str, Measured]:
     """The same in the walk's single precision, and whether the cosine behind stays within [0, 1]."""
-    from livlab.model.transport import walk_events
     from livlab.model.transport.device import device
+    from livlab.model.transport.walk import events as walk_events
 
     d = device("llvm")
     a, b, c = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in (n_from, n_to, mu)))

@@ -12,10 +12,10 @@ import numpy as np
 from livlab import datasets, metrics
 from livlab.errors import InputError
 from livlab.model.tissue import chromophores
-from livlab.model.tissue import spheroid as spheroids
-from livlab.model.tissue.cylinder import cylinder, cylinder_mean, cylinder_phase
-from livlab.model.tissue.mie import mie, mie_phase
-from livlab.model.tissue.phase import HenyeyGreenstein, Tabulated
+from livlab.model.tissue.particles import spheroid as spheroids
+from livlab.model.tissue.particles.cylinder import cylinder, cylinder_mean, cylinder_phase
+from livlab.model.tissue.particles.sphere import mie, mie_phase
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Tabulated
 from livlab.model.transport.adding_doubling import adding_doubling
 from livlab.model.transport.fresnel import fresnel
 from livlab.stress.inputs import curve, stack
@@ -123,7 +123,7 @@ _ATTEMPTS: dict[str, Callable[..., Any]] = {
 
 
 def _record(layers: list[list[Any]]) -> Any:
-    from livlab.model.transport.ledger import record
+    from livlab.model.transport.ledger.record_ledger import record
 
     return record(stack(layers), samples=2000, check_bias=False)
 

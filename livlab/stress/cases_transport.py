@@ -82,8 +82,8 @@ def walk(
     `returned` is reflectance and residual together (where photons are given up, the truth lies between
     reflectance and it). `stated`: 1 if every error is above 0 where its value is, and not a number for one photon.
     """
-    from livlab.model.transport.walk import Source
-    from livlab.model.transport.walk import walk as solve_walk
+    from livlab.model.transport.walk.walk import Source
+    from livlab.model.transport.walk.walk import walk as solve_walk
 
     beam = Source.diffuse() if source == "diffuse" else Source.collimated(angle)
     r = solve_walk(
@@ -109,8 +109,8 @@ def walk(
 @runner
 def exits_sum(samples: int) -> dict[str, Measured]:
     """Bins of exit angle and radius against the totals that they divide."""
-    from livlab.model.transport.walk import Tally
-    from livlab.model.transport.walk import walk as solve_walk
+    from livlab.model.transport.walk.walk import Tally
+    from livlab.model.transport.walk.walk import walk as solve_walk
 
     tally = Tally(theta_edges=(0.0, 0.3, 1.0, math.pi / 2), radius_edges=(0.0, 0.1, 1.0, math.inf))
     r = solve_walk(stack([[1.4, 0.1, 10.0, 1.0, 0.9]]), tally=tally, samples=samples, seed=3)

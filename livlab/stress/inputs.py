@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from livlab.errors import InputError
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import OpticalStack, Phase, plain_stack
 from livlab.units import FloatArray
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from livlab.errors import EnvironmentProblem
-from livlab.runs_files import write_whole
+from livlab.runs.files import write_whole
 from livlab.stress.catalogue import Case, Expectation, trusted
 from livlab.stress.measured import Measured
 from livlab.units import FloatArray

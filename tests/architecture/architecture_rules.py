@@ -11,25 +11,21 @@ from pathlib import Path
 RANKS = {
     "livlab": 0,
     "livlab.errors": 0,
-    "livlab.files": 0,
-    "livlab.picture_files": 0,
-    "livlab.netcdf": 0,
-    "livlab.toml_text": 0,
-    "livlab.config_errors": 0,
+    "livlab.core": 0,
+    "livlab.config.errors": 0,
     "livlab.units": 0,
-    "livlab.markup": 0,
     "livlab.datasets": 1,
     "livlab.metrics": 1,
     "livlab.criteria": 1,
-    "livlab.gpu": 1,
-    "livlab.llvm": 1,
+    "livlab.machine.gpu": 1,
+    "livlab.machine.llvm": 1,
     "livlab.optimise": 1,
-    "livlab.llvm_probe": 1,
+    "livlab.machine.llvm_probe": 1,
     "livlab.model": 2,
     "livlab.model.tissue": 2,
     "livlab.model.transport": 3,
     "livlab.model.tracer": 4,
-    "livlab.model.effects": 5,  # a scene has an instrument
+    "livlab.effects": 5,  # a scene has an instrument
     "livlab.api": 6,  # beside the command line, for notebooks
     "livlab.cli": 6,
 }
@@ -40,8 +36,8 @@ DOORS = {
     "mitsuba": ("livlab.model.tracer",),
     "drjit": ("livlab.model.transport", "livlab.model.tracer"),
     "nlopt": ("livlab.optimise",),
-    "dask": ("livlab.study.scheduler",),
-    "distributed": ("livlab.study.scheduler",),
+    "dask": ("livlab.jobs.scheduler",),
+    "distributed": ("livlab.jobs.scheduler",),
     "pickle": (),
     "marshal": (),
     "shelve": (),
@@ -49,15 +45,21 @@ DOORS = {
 
 # What a package may not know although its rank would allow it.
 BLIND = {
-    "livlab.reports": ("livlab.model", "livlab.acquire", "livlab.brdf", "livlab.study", "livlab.runs", "livlab.config"),
+    "livlab.reports": (
+        "livlab.model",
+        "livlab.acquire",
+        "livlab.brdf",
+        "livlab.fitting",
+        "livlab.jobs",
+        "livlab.config",
+    ),
     "livlab.brdf": (
         "livlab.model.tracer",
         "livlab.model.transport",
         "livlab.acquire",
         "livlab.reports",
-        "livlab.study",
+        "livlab.kinds",
     ),
-    "livlab.study": ("livlab.model.tracer", "livlab.model.transport", "livlab.reports"),
     "livlab.api": ("livlab.cli",),
     "livlab.cli": ("livlab.api",),
 }

@@ -23,13 +23,12 @@ def write(root, name, text):
         ("livlab/model/transport/a.py", "def f():\n    import mitsuba as mi\n", "mitsuba may be imported by"),
         ("livlab/acquire/a.py", "import drjit as dr\n", "drjit may be imported by"),
         ("livlab/metrics.py", "import nlopt\n", "nlopt may be imported by"),
-        ("livlab/study/sweep.py", "from dask.distributed import Client\n", "dask may be imported by"),
-        ("livlab/study/jobs.py", "def f():\n    from distributed import Client\n", "distributed may be imported by"),
-        ("livlab/runs.py", "import pickle\n", "pickle may be imported by nobody"),
+        ("livlab/kinds/study/sweep.py", "from dask.distributed import Client\n", "dask may be imported by"),
+        ("livlab/jobs/jobs.py", "def f():\n    from distributed import Client\n", "distributed may be imported by"),
+        ("livlab/kinds/execute.py", "import pickle\n", "pickle may be imported by nobody"),
         ("livlab/reports/page.py", "from livlab.model.tissue import optics\n", "should not know"),
-        ("livlab/reports/page.py", "from livlab import runs\n", "should not know"),
-        ("livlab/brdf/fit.py", "from livlab.model import tracer\n", "should not know"),
-        ("livlab/study/objective.py", "from livlab.model.transport.walk import walk\n", "should not know"),
+        ("livlab/reports/page.py", "from livlab import jobs\n", "should not know"),
+        ("livlab/brdf/fit/fit.py", "from livlab.model import tracer\n", "should not know"),
         ("livlab/__init__.py", "from livlab.cli.app import app\n", "lies above it"),
         ("livlab/__init__.py", "def f():\n    from livlab.cli.app import app\n", "lies above it"),
         ("livlab/metrics.py", "if TYPE_CHECKING:\n    from livlab.cli.app import app\n", "lies above it"),
@@ -55,11 +54,11 @@ def test_a_forbidden_import_is_found(tmp_path, name, text, said):
             "import mitsuba as mi\nimport drjit as dr\nfrom livlab.model import transport\n",
         ),
         ("livlab/__init__.py", "if TYPE_CHECKING:\n    from livlab.api.running import run as run\n"),
-        ("livlab/api/run.py", "from livlab.study.fit import fit\nfrom livlab.model.tissue import optics\n"),
+        ("livlab/api/run.py", "from livlab.fitting.fit import fit\nfrom livlab.model.tissue import optics\n"),
         ("livlab/optimise/driver.py", "import nlopt\n"),
-        ("livlab/study/scheduler/dispatch.py", "import dask\nfrom distributed import KilledWorker\n"),
+        ("livlab/jobs/scheduler/dispatch.py", "import dask\nfrom distributed import KilledWorker\n"),
         ("livlab/reports/page.py", "from livlab import __version__\nfrom livlab.metrics import rmse\n"),
-        ("livlab/acquire/a.py", "from livlab.model.transport.walk import walk\n"),
+        ("livlab/acquire/a.py", "from livlab.model.transport.walk.walk import walk\n"),
     ],
 )
 def test_an_allowed_import_passes(tmp_path, name, text):
@@ -69,9 +68,9 @@ def test_an_allowed_import_passes(tmp_path, name, text):
 
 @pytest.mark.parametrize("call", ["eval(text)", "exec(text)"])
 def test_running_data_as_code_is_found(tmp_path, call):
-    write(tmp_path, "livlab/config.py", f"def f(text):\n    return {call}\n")
+    write(tmp_path, "livlab/config/load.py", f"def f(text):\n    return {call}\n")
     write(tmp_path, "livlab/fine.py", "def f(model):\n    return model.eval(3)\n")
-    assert rules.code_from_data_violations(tmp_path) == [f"livlab/config.py:2: calls {call[:4]}"]
+    assert rules.code_from_data_violations(tmp_path) == [f"livlab/config/load.py:2: calls {call[:4]}"]
 
 
 def test_a_long_module_is_found(tmp_path):

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from livlab.brdf.models import LOBES, SUMS, model, models
-from livlab.brdf.models_energy import directional_albedo
+from livlab.brdf.models.energy import directional_albedo
+from livlab.brdf.models.model import LOBES, SUMS, model, models
 from livlab.errors import InputError
 
 ALL = [*LOBES, *SUMS, "lambert+ggx+ggx"]

@@ -9,7 +9,7 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from livlab.config_errors import Path, locate
+from livlab.config.errors import Path, locate
 
 KEY = st.text("abcXYZ019_-", min_size=1, max_size=4)
 LEAF = st.one_of(

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from livlab.acquire import curves
-from livlab.acquire.curves import Curve
+from livlab import curves
+from livlab.curves import Curve
 
 alignments = st.sampled_from(["centred", "left", "right"])
 

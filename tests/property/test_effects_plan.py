@@ -11,14 +11,14 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from livlab.acquire.instruments import Collinear, HyperspectralCamera, IntegratingSphere, WalkSolver
-from livlab.acquire.readout import readout
-from livlab.acquire.spectrometer import measure
-from livlab.model.effects import plan as planning
-from livlab.model.effects.plan import Bounds, plan
-from livlab.model.effects.scene import Scene
+from livlab.acquire.instruments.models import Collinear, HyperspectralCamera, IntegratingSphere, WalkSolver
+from livlab.acquire.instruments.readout import readout
+from livlab.acquire.instruments.spectrometer import measure
+from livlab.effects import plan as planning
+from livlab.effects.plan import Bounds, plan
+from livlab.effects.scene import Scene
 from livlab.model.tissue.optics import optical_stack
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.readings import reading
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.tissue.tissue import Tissue
@@ -244,8 +244,8 @@ def test_a_planner_that_does_not_verify_groups_fails_the_check(monkeypatch):
 @pytest.mark.parametrize("beam", ["pencil", "face"])
 @pytest.mark.parametrize("side_mm", [2.0, 6.0])
 def test_what_walks_lose_sideways_is_below_its_bound(libllvm, side_mm, beam):
-    from livlab.model.effects.lateral import missed
-    from livlab.model.effects.plane import plane_value
+    from livlab.effects.lateral import missed
+    from livlab.effects.plane import plane_value
 
     for stack in (plain_stack([(1.4, 0.5, 20.0, 50.0, HenyeyGreenstein(0.9))]), layered(0.8)):
         instrument = Collinear(sample_side_mm=side_mm, beam=beam, acceptance_deg=90.0)

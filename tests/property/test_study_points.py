@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from livlab.config_study_parts import Factor, Sensitivity
-from livlab.study.jobs import Job, MemoryStore, run_jobs
-from livlab.study.sensitivity import unit_design
-from livlab.study.sweep import mapped, unit_points
+from livlab.jobs.jobs import Job, MemoryStore, run_jobs
+from livlab.kinds.study.config_parts import Factor, Sensitivity
+from livlab.kinds.study.sensitivity import unit_design
+from livlab.kinds.study.sweep import mapped, unit_points
 
 SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
 PLAIN = st.recursive(

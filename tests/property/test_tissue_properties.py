@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from livlab.model.tissue.chromophores import packaging
 from livlab.model.tissue.optics import coefficients, optical_stack
+from livlab.model.tissue.particles.spheroid import attenuation, penalised_rate, surface_term
 from livlab.model.tissue.presets import TissueSpec, load_preset
 from livlab.model.tissue.readings import Reading, reading
-from livlab.model.tissue.spheroid import attenuation, penalised_rate, surface_term
 
 LIVER = load_preset("liver")
 share = st.floats(0.0, 1.0)

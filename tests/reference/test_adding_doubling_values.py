@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from livlab.model.tissue.mie import mie_phase
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Tabulated
+from livlab.model.tissue.particles.sphere import mie_phase
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Tabulated
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.transport.adding_doubling import adding_doubling, cone_fraction, exit_flux
 from livlab.model.transport.doubling import homogeneous_layer

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.transport.adding_doubling import adding_doubling
 from livlab.model.transport.diffusion import LEAST_REDUCED_ALBEDO, diffusion

@@ -5,14 +5,14 @@ import pytest
 import xarray as xr
 
 from livlab.brdf.angles import direction, from_half_angles
-from livlab.brdf.files import read_brdf, write_brdf
-from livlab.brdf.files_mitsuba import Measured, read_mitsuba, write_mitsuba
+from livlab.brdf.files.formats import read_brdf, write_brdf
+from livlab.brdf.files.mitsuba import Measured, read_mitsuba, write_mitsuba
+from livlab.brdf.files.tensor import read_tensors, write_tensors
+from livlab.brdf.files.warp import Warp
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.grid import Grid
 from livlab.brdf.lookup import lookup, table_of, tabulate
 from livlab.brdf.sphere import extract
-from livlab.brdf.tensor import read_tensors, write_tensors
-from livlab.brdf.warp import Warp
 from livlab.errors import DatasetError, InputError
 
 COLOURS = np.array([1.0, 0.5, 0.2])
@@ -42,7 +42,7 @@ def everywhere(count=8000, most=75.0):
 
 @pytest.fixture(scope="module")
 def mitsuba():
-    from livlab.llvm import choose_libllvm
+    from livlab.machine.llvm import choose_libllvm
 
     choose_libllvm()
     import mitsuba as mi

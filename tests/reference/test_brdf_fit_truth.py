@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from livlab.acquire.sphere_rig import SphereRig, arc, light, photograph
-from livlab.brdf.fit import fit
+from livlab.acquire.instruments.sphere_rig import SphereRig, arc, light, photograph
+from livlab.brdf.fit.fit import fit
 from livlab.brdf.sphere import extract
 from livlab.errors import EnvironmentProblem
 

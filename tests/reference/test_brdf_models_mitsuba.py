@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from livlab.brdf.models import model
-from livlab.llvm import choose_libllvm
+from livlab.brdf.models.model import model
+from livlab.machine.llvm import choose_libllvm
 
 
 @pytest.fixture(scope="module")

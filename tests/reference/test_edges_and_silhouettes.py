@@ -9,7 +9,7 @@ import pytest
 
 from livlab.model.shapes import box, distance_field, liver, sphere
 from livlab.model.tissue.optics import optical_stack
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
 from livlab.model.tissue.stack import plain_stack

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from livlab.model.shapes import box, distance_field, sphere
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.tracer import stage
 from livlab.model.tracer.body import Body

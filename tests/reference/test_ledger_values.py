@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from livlab.model.tissue.optics import optical_stack
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.adding_doubling import adding_doubling
-from livlab.model.transport.ledger import record
+from livlab.model.transport.ledger.record_ledger import record
 from livlab.model.transport.source import Source
 
 pytestmark = pytest.mark.usefixtures("libllvm")

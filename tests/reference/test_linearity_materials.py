@@ -8,12 +8,12 @@ import itertools
 import numpy as np
 import pytest
 
-from livlab.acquire.linearity import Linearity
-from livlab.acquire.photographs import Frames, PhotographedRig
-from livlab.acquire.photographs_merge import Merged
+from livlab.acquire.photographs.linearity import Linearity
+from livlab.acquire.photographs.merge import Merged
+from livlab.acquire.photographs.rig import Frames, PhotographedRig
 from livlab.brdf.angles import local_frames
 from livlab.brdf.geometry import Camera, Light, Sphere
-from livlab.brdf.models import model
+from livlab.brdf.models.model import model
 
 PIXELS = 41
 ENCODED = {"linear": None, "sRGB": "srgb", "gamma 1.8": 1.8, "gamma 2.2": 2.2}

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import spherical_jn, spherical_yn
 
-from livlab.model.tissue.mie import mie, mie_intensity, mie_phase, vacuum_efficiency
+from livlab.model.tissue.particles.sphere import mie, mie_intensity, mie_phase, vacuum_efficiency
 
 
 def literal_coefficients(m: complex, x: float, terms: int) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

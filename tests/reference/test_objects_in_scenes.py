@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.tracer import stage
 from livlab.model.tracer.body import Body

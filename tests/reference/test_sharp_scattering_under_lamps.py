@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from livlab.model.shapes import TriangleMesh, box, distance_field, sphere
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import OpticalStack, plain_stack
 from livlab.model.tracer import stage
 from livlab.model.tracer.body import Body

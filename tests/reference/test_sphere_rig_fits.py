@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from livlab.acquire.pose import sphere_pose
-from livlab.acquire.sphere_rig import SphereRig, arc, photograph
-from livlab.brdf.fit import fit
+from livlab.acquire.instruments.sphere_rig import SphereRig, arc, photograph
+from livlab.acquire.photographs.pose import sphere_pose
+from livlab.brdf.fit.fit import fit
 from livlab.brdf.sphere import extract
 
 ETA, K = [0.2, 0.92, 1.1], [3.9, 2.45, 2.2]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from livlab.acquire.pose import sphere_pose
-from livlab.acquire.sphere_rig import SphereRig, arc, moved, photograph, ring
+from livlab.acquire.instruments.sphere_rig import SphereRig, arc, moved, photograph, ring
+from livlab.acquire.photographs.pose import sphere_pose
 from livlab.brdf.sphere import extract
 from livlab.model.tracer.materials import evaluate
 

@@ -10,9 +10,9 @@ import math
 import numpy as np
 import pytest
 
-from livlab.config_study_parts import Sensitivity
 from livlab.errors import InputError
-from livlab.study.sensitivity import growth, indices, settled, unit_design
+from livlab.kinds.study.config_parts import Sensitivity
+from livlab.kinds.study.sensitivity import growth, indices, settled, unit_design
 
 A, B = 7.0, 0.1
 NAMES = ["x1", "x2", "x3"]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import OpticalStack, plain_stack
 from livlab.model.tracer.body import Body
 from livlab.model.tracer.render import render

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from livlab.model.tissue.mie import mie_phase
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh
+from livlab.model.tissue.particles.sphere import mie_phase
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 from livlab.model.transport.adding_doubling import adding_doubling
-from livlab.model.transport.walk import Source, Tally, walk
+from livlab.model.transport.walk.walk import Source, Tally, walk
 
 pytestmark = pytest.mark.usefixtures("libllvm")
 
@@ -236,7 +236,7 @@ def test_radius_of_what_comes_out(shape):
 
 def test_strong_peak_by_table_and_by_formula():
     """The same Henyey–Greenstein g = 0.99 as a closed form and as a look-up: 1 − g enters R directly."""
-    from livlab.model.tissue.phase import Tabulated
+    from livlab.model.tissue.phase.functions import Tabulated
 
     w = np.concatenate([[0.0], np.geomspace(1e-9, 2.0, 6000)])
     w[-1] = 2.0

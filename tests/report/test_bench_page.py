@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from livlab.acquire.bench import bench_data, bench_grid
-from livlab.acquire.forward import LedgerForward
-from livlab.acquire.instruments import Collinear, HyperspectralCamera
+from livlab.acquire.instruments.models import Collinear, HyperspectralCamera
 from livlab.errors import InputError
+from livlab.fitting.forward import LedgerForward
+from livlab.kinds.spectral.bench import bench_data, bench_grid
 from livlab.metrics import pearson, rmse
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
@@ -41,7 +41,7 @@ def data(tissue: Any) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def forward(tissue: Any, data: dict[str, Any]) -> LedgerForward:
     """Another walk with the same draws: what the page should answer."""
-    from livlab.acquire import bench
+    from livlab.kinds.spectral import bench
 
     made = LedgerForward(tissue, READINGS["measured"], GRID, CAMERA, (), standard_error=3e-3)
     stack = made.stack({})
@@ -178,7 +178,7 @@ def test_nothing_sticks_out(page: Any, width: int) -> None:
 
 
 def test_the_table_is_the_ledger_between_its_nodes(data: dict[str, Any], forward: LedgerForward) -> None:
-    from livlab.acquire import bench
+    from livlab.kinds.spectral import bench
 
     table, stack = data["table"], forward.stack({})
     low, high = np.array(table["low"]), np.array(table["high"])

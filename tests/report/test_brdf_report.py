@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from livlab.config import parse_experiment
+from livlab.kinds.execute import execute
 from livlab.reports.page import build_report
-from livlab.runs import execute
 
 TEXT = """
 schema = 1

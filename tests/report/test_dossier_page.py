@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from html import unescape
 from pathlib import Path
 
 import pytest
-
-from livlab.config_dossier import load_dossier
-from livlab.errors import InputError
-from livlab.reports.dossier import build_dossier
-from livlab.study.validate import record
-from livlab.study.validate_baseline import Baseline, compare, told
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
 from dossier_fakes import ended_three
+
+from livlab.dossier.baseline import Baseline, compare, told
+from livlab.dossier.build import build_dossier
+from livlab.dossier.config import load_dossier
+from livlab.dossier.validate import record
+from livlab.errors import InputError
 
 HELD = Baseline({"one": ("slope", "height"), "two": ("was true",)}, {}, "baseline.json")
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import functools
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from livlab import runs
-from livlab.reports.gallery import build_gallery
-from livlab.study import picture
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
 from picture_fakes import BallCamera, small
+
+from livlab.kinds import execute as runs
+from livlab.kinds.picture import job as picture
+from livlab.kinds.picture.gallery import build_gallery
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = [

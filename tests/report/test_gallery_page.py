@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import functools
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
+from picture_fakes import BallCamera, small
 
-from livlab import runs
 from livlab.cli.gallery import finished
 from livlab.errors import ConfigError, InputError
-from livlab.reports.gallery import build_gallery
-from livlab.reports.gallery_small import small_copies
-from livlab.reports.gallery_table import picture_table
-from livlab.reports.picture import png_size
-from livlab.reports.picture_words import colour_words
-from livlab.study import picture
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
-from picture_fakes import BallCamera, small
+from livlab.kinds import execute as runs
+from livlab.kinds.picture import job as picture
+from livlab.kinds.picture.gallery import build_gallery
+from livlab.kinds.picture.gallery_small import small_copies
+from livlab.kinds.picture.gallery_table import picture_table
+from livlab.kinds.picture.report import png_size
+from livlab.kinds.picture.report_words import colour_words
 
 TITLE = 'readings = ["thesis", "measured"]\ntitle = "A <ball> & more"\nbaselines = ["lambert"]\n'
 FAILS = '\n[[criterion]]\nmetric = "lightness"\nreading = "thesis"\nwithin = [0, 10]\n'

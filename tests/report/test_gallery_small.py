@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from livlab.errors import InputError
-from livlab.reports.gallery_small import shrunk, small_copies
+from livlab.kinds.picture.gallery_small import shrunk, small_copies
 
 
 def coded(light: np.ndarray) -> np.ndarray:

@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from dossier_fakes import DOSSIER, write_dossier, write_run
+from study_texts import BLOOD, MEAN, OXYGEN, TISSUE, text
 from test_hostile_text import EVIL, copied, every_text_cell, poison, tame
 
 from livlab.config import parse_experiment
-from livlab.config_dossier import load_dossier
 from livlab.criteria import Claim
 from livlab.datasets.add import add
 from livlab.datasets.draft import read_draft
+from livlab.dossier.baseline import Baseline, compare, told
+from livlab.dossier.build import build_dossier
+from livlab.dossier.config import load_dossier
+from livlab.dossier.validate import Ended, planned, record
 from livlab.errors import InputError
-from livlab.reports.dossier import build_dossier
+from livlab.kinds.execute import execute
 from livlab.reports.page import build_report
-from livlab.runs import execute
-from livlab.study.validate import Ended, planned, record
-from livlab.study.validate_baseline import Baseline, compare, told
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
-
-from dossier_fakes import DOSSIER, write_dossier, write_run
-from study_texts import BLOOD, MEAN, OXYGEN, TISSUE, text
 
 MARK = "window.hit=1"
 

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from fuzz.seeds import seeds
 from livlab.errors import InputError
+from livlab.kinds.picture.gallery import build_gallery
 from livlab.reports.figures import drawn_by_livlab, svg
-from livlab.reports.gallery import build_gallery
 from livlab.reports.page import build_report
 
 EVIL = (

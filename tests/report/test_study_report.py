@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from study_texts import BLOOD, MEAN, OXYGEN, READING, text
 
 from livlab.config import parse_experiment
+from livlab.kinds.execute import execute
+from livlab.kinds.study.report import verdict_sentences
 from livlab.reports.page import build_report
-from livlab.reports.study import verdict_sentences
-from livlab.runs import execute
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
-
-from study_texts import BLOOD, MEAN, OXYGEN, READING, text
 
 PEAK = '[[output]]\nmetric = "peak wavelength"\n'
 TARGET = '[ablation]\nbases = ["thesis"]\ntowards = "consistent"\n[[ablation.target]]\noutput = "mean"\n'

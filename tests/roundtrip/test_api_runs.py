@@ -13,7 +13,7 @@ import livlab
 from livlab.cli import app
 from livlab.config import to_toml
 from livlab.errors import ConfigError, InputError
-from livlab.runs_compare import compare_file
+from livlab.runs.compare import compare_file
 
 TABLE = {
     "kind": "spectral",

@@ -10,11 +10,11 @@ import pytest
 
 import livlab
 from livlab.brdf.angles import direction, half_angles
-from livlab.brdf.files import read_brdf, write_fitted
-from livlab.brdf.files_fit import Fitted, read_fit
-from livlab.brdf.files_mitsuba import read_mitsuba
+from livlab.brdf.files.fitted import Fitted, read_fit
+from livlab.brdf.files.formats import read_brdf, write_fitted
+from livlab.brdf.files.mitsuba import read_mitsuba
 from livlab.brdf.lookup import lookup
-from livlab.brdf.models import model
+from livlab.brdf.models.model import model
 from livlab.brdf.samples import sample_dataset
 from livlab.errors import DatasetError, InputError, LivlabError
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from livlab.brdf.angles import direction
-from livlab.brdf.files import cells_as_samples, read_brdf, write_brdf
-from livlab.brdf.files_alta import read_alta
-from livlab.brdf.files_csv import read_csv, write_csv
-from livlab.brdf.files_merl import SCALES, read_merl, write_merl
-from livlab.brdf.files_netcdf import read_netcdf, write_netcdf
+from livlab.brdf.files.alta import read_alta
+from livlab.brdf.files.csv import read_csv, write_csv
+from livlab.brdf.files.formats import cells_as_samples, read_brdf, write_brdf
+from livlab.brdf.files.merl import SCALES, read_merl, write_merl
+from livlab.brdf.files.netcdf import read_netcdf, write_netcdf
 from livlab.brdf.footprint import footprint
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.grid import Grid

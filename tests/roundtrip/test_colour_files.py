@@ -34,7 +34,7 @@ def test_exr_keeps_every_float_and_says_what_it_holds(tmp_path, spectral):
 
 
 def test_mitsuba_reads_the_exr_the_same(tmp_path, spectral):
-    from livlab.llvm import choose_libllvm
+    from livlab.machine.llvm import choose_libllvm
 
     choose_libllvm()
     mi = pytest.importorskip("mitsuba")

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 
 from livlab.errors import DatasetError, EnvironmentProblem
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
-from livlab.model.transport.ledger import Detector, load, record
+from livlab.model.transport.ledger.record_ledger import Detector, load, record
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
 

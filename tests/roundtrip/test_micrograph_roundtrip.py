@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from livlab.acquire.micrograph import Method, layer_table, measure_files
-from livlab.acquire.micrograph_table import FIELDS, read_profile, write_table
+from livlab.acquire.micrographs.fractions import Method, layer_table, measure_files
+from livlab.acquire.micrographs.table import FIELDS, read_profile, write_table
 from livlab.errors import InputError
 from livlab.model.tissue.presets import load_preset
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from livlab.runs_compare import ACCOUNTS, timeless
-from livlab.runs_files import read_csv
+from livlab.runs.compare import ACCOUNTS, timeless
+from livlab.runs.files import read_csv
 
 CONFIG = """\
 schema = 1
@@ -51,7 +51,7 @@ if len(sys.argv) > 3:
     locale.setlocale(locale.LC_ALL, sys.argv[3])
     assert locale.localeconv()["decimal_point"] == ","
 from livlab.config import load_experiment
-from livlab.runs import execute
+from livlab.kinds.execute import execute
 print(execute(load_experiment(sys.argv[1]), base=sys.argv[2], report=len(sys.argv) > 3).folder)
 """
 
@@ -140,7 +140,7 @@ def test_a_home_that_cannot_be_written_changes_nothing(plain: tuple[str, Path], 
 def test_another_seed_does_change_the_bytes(plain: tuple[str, Path], tmp_path: Path) -> None:
     """The comparison has power: a walk of other draws is not the same."""
     from livlab.config import load_experiment
-    from livlab.runs import execute
+    from livlab.kinds.execute import execute
 
     config = load_experiment(plain[1] / "config.toml").model_copy(update={"seed": 2})
     other = execute(config, base=tmp_path, report=False).folder

@@ -17,9 +17,9 @@ from livlab import datasets
 from livlab.cli import app
 from livlab.config import parse_experiment
 from livlab.errors import DatasetError, InputError
-from livlab.runs import execute, read_manifest
-from livlab.runs_again import read_original, run_again
-from livlab.runs_compare import compare_file, timeless
+from livlab.kinds.again import read_original, run_again
+from livlab.kinds.execute import execute, read_manifest
+from livlab.runs.compare import compare_file, timeless
 
 CONFIG = """\
 schema = 1

@@ -8,9 +8,9 @@ import pytest
 
 from livlab.config import parse_experiment
 from livlab.errors import Interrupted
-from livlab.runs import execute, read_manifest
-from livlab.runs_files import read_csv
-from livlab.runs_work import Silent
+from livlab.kinds.execute import execute, read_manifest
+from livlab.runs.files import read_csv
+from livlab.runs.work import Silent
 
 WALK = """\
 schema = 1

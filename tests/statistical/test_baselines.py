@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from livlab.errors import InputError
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import plain_stack
-from livlab.model.tracer.baselines import BaselineOptics, LobeValues, baseline_optics, render_baseline
+from livlab.model.tracer.baselines.models import BaselineOptics, LobeValues, baseline_optics, render_baseline
 from livlab.model.tracer.variant import mitsuba
 from livlab.model.transport.adding_doubling import adding_doubling
 from livlab.model.transport.diffusion import dipole_profile, dipole_total
@@ -281,7 +281,7 @@ def test_stated_errors_are_the_scatter_over_seeds(mi: Any) -> None:
 
 
 def test_many_passes_are_one_picture(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from livlab.model.tracer import baselines_light
+    from livlab.model.tracer.baselines import light as baselines_light
 
     world = mi.load_dict(scene(mi, ball(), lights(mi)["area"], 12), optimize=False)
     whole = render_baseline(world, "body", "lambert", OPTICS, spp=64, seed=1)

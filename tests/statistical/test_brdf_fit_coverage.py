@@ -4,8 +4,8 @@ import numpy as np
 from scipy import stats
 
 from livlab.brdf.angles import from_half_angles
-from livlab.brdf.fit import fit
-from livlab.brdf.models import model
+from livlab.brdf.fit.fit import fit
+from livlab.brdf.models.model import model
 from livlab.brdf.samples import sample_dataset
 
 TRUTH = {"kd": 0.3, "ks": 0.9, "alpha": 0.2}

@@ -11,9 +11,9 @@ import pytest
 from brdf_fit_rig import pictures
 from scipy import stats
 
-from livlab.brdf.fit import fit, pack
-from livlab.brdf.fit_problem import Problem
-from livlab.brdf.fit_spread import spread
+from livlab.brdf.fit.fit import fit, pack
+from livlab.brdf.fit.problem import Problem
+from livlab.brdf.fit.spread import spread
 from livlab.brdf.geometry import Light
 from livlab.brdf.sphere import extract
 

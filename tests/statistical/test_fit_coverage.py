@@ -5,26 +5,21 @@ Of n intervals at level p, n p hold the truth, give or take √(n p (1 − p)).
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fit_forwards import Walked
 
 from livlab.errors import InputError
+from livlab.fitting.fit import fit
+from livlab.fitting.intervals import Profiler
+from livlab.fitting.problem import Problem
+from livlab.fitting.targets import Target
+from livlab.kinds.fit import coverage as fit_coverage
+from livlab.kinds.fit.round_trip import Trip, round_trip
 from livlab.optimise import Parameter, ParameterSpace, profile
-from livlab.study import fit_coverage
-from livlab.study.fit import fit
-from livlab.study.fit_intervals import Profiler
-from livlab.study.fit_problem import Problem
-from livlab.study.fit_round_trip import Trip, round_trip
-from livlab.study.fit_targets import Target
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
-
-from fit_forwards import Walked
 
 X = np.linspace(0.0, 2.0, 21)
 ALL = np.ones(21, dtype=bool)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from livlab.config import load_experiment
-from livlab.runs import execute
+from livlab.kinds.execute import execute
 
 ROOT = Path(__file__).parents[2]
 

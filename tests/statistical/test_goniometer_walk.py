@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from livlab.acquire.goniometer import Detectors, collinear, goniometer
+from livlab.acquire.instruments.goniometer import Detectors, collinear, goniometer
 from livlab.errors import InputError
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.transport.adding_doubling import adding_doubling, exit_flux
 

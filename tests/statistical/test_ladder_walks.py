@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments import Collinear, FibreProbe, HyperspectralCamera, IntegratingSphere, WalkSolver
-from livlab.acquire.readout import readout
-from livlab.acquire.spectrometer import estimate, measure
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.acquire.instruments.models import Collinear, FibreProbe, HyperspectralCamera, IntegratingSphere, WalkSolver
+from livlab.acquire.instruments.readout import readout
+from livlab.acquire.instruments.spectrometer import estimate, measure
+from livlab.kinds.checks.cost import FAR, cost, slope
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 from livlab.model.transport.accuracy import Accuracy
-from livlab.model.transport.ladder import pick, solve
+from livlab.model.transport.ladder.solve import pick, solve
 from livlab.model.transport.sampling import Sampling
-from livlab.study.cost import FAR, cost, slope
 
 W = np.linspace(500.0, 720.0, 8)
 SPHERE = IntegratingSphere(port_diameter_mm="infinite", incidence_deg=0.0)
@@ -121,7 +121,7 @@ def test_a_ledger_of_a_sample_with_sides_reads_what_walks_do():
 
 def test_the_ledger_is_taken_for_many_wavelengths_where_it_is_sooner_done(monkeypatch):
     """Adding–doubling out of the way, 24 wavelengths to 0.03 %: a walk each, or one record for all."""
-    monkeypatch.setattr("livlab.model.transport.ladder_pick.WORTH_NO_WALK", 0.0)
+    monkeypatch.setattr("livlab.model.transport.ladder.pick.WORTH_NO_WALK", 0.0)
     view = readout(SPHERE, np.ones(24))
     picked = pick(many(), view, Accuracy(relative=0.0003), sampling=Sampling(relative=0.1, seed=2))
     assert {x for x in ("adding-doubling", "walk expected", "ledger") if x in picked.notes[0]} == {

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.adding_doubling import adding_doubling
-from livlab.model.transport.ledger import Detector, record
+from livlab.model.transport.ledger.record_ledger import Detector, record
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
-from livlab.model.transport.walk import walk
+from livlab.model.transport.walk.walk import walk
 
 pytestmark = pytest.mark.usefixtures("libllvm")
 
@@ -178,7 +178,7 @@ def test_interpolation_bias_is_what_is_left_with_many_photons():
         Interaction("cells", 10.0 * ONE, ONE, tuple(HenyeyGreenstein(float(x)) for x in g)),
     )
     made = stack(PlaneLayer("slab", 1.0, 1.38 * ONE, parts))
-    from livlab.model.transport.ledger_bias import interpolation_bias
+    from livlab.model.transport.ledger.bias import interpolation_bias
     from livlab.model.transport.source import Source as Light
 
     ledger = record(made, samples=300_000, seed=1, anchors=2, check_bias=False)

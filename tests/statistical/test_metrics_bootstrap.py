@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from livlab import metrics
-from livlab.acquire import curves
-from livlab.acquire.curves import Curve
+from livlab import curves, metrics
+from livlab.curves import Curve
 
 B = 4000
 SE_OF_SD = 1 / np.sqrt(2 * B)  # relative standard error of a standard deviation over B normal draws

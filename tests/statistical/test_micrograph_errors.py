@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 from scipy.special import erf
 
-from livlab.acquire.micrograph import Method, counting_error, measure_page
-from livlab.acquire.micrograph_files import Page
+from livlab.acquire.micrographs.files import Page
+from livlab.acquire.micrographs.fractions import Method, counting_error, measure_page
 
 
 def discs(rng, size, radius, fraction):

@@ -16,9 +16,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import chi2, ncx2
 
-from livlab.model.tissue.mie import mie_phase
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh, Tabulated, kernel_table, mixture
-from livlab.model.tissue.phase_base import PhaseFunction
+from livlab.model.tissue.particles.sphere import mie_phase
+from livlab.model.tissue.phase.base import PhaseFunction
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh, Tabulated, kernel_table, mixture
 from livlab.units import FloatArray
 
 SAMPLES, CELLS, LEVEL = 200_000, 40, 1e-4

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments import (
+from livlab.acquire.instruments.models import (
     AddingDoublingSolver,
     Collinear,
     FibreProbe,
@@ -20,10 +20,10 @@ from livlab.acquire.instruments import (
     TracerSolver,
     WalkSolver,
 )
-from livlab.acquire.spectrometer import measure
+from livlab.acquire.instruments.spectrometer import measure
 from livlab.errors import InputError
 from livlab.model.tissue.optics import optical_stack
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
 from livlab.model.tissue.stack import OpticalStack, plain_stack

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments import (
+from livlab.acquire.instruments.models import (
     AddingDoublingSolver,
     Collinear,
     FibreProbe,
@@ -13,10 +13,10 @@ from livlab.acquire.instruments import (
     IntegratingSphere,
     WalkSolver,
 )
-from livlab.acquire.spectrometer import measure
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.acquire.instruments.spectrometer import measure
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
-from livlab.model.transport.walk import Tally, walk
+from livlab.model.transport.walk.walk import Tally, walk
 
 W = np.array([500.0, 600.0, 700.0])
 

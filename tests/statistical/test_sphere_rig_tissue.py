@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from livlab.acquire.goniometer import goniometer, unoriented
-from livlab.acquire.sphere_rig import SphereRig, arc, moved, ring
-from livlab.acquire.sphere_rig_tissue import photograph_tissue
+from livlab.acquire.instruments.goniometer import goniometer, unoriented
+from livlab.acquire.instruments.sphere_rig import SphereRig, arc, moved, ring
+from livlab.acquire.instruments.sphere_rig_tissue import photograph_tissue
 from livlab.brdf.sphere import extract
 from livlab.errors import InputError
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.kinds.brdf.cuts import at_angles, flat_cut, sphere_cut
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.tracer.rig_tissue import exits, pictures
-from livlab.study.brdf_cuts import at_angles, flat_cut, sphere_cut
 
 
 def rig(spp, **options):

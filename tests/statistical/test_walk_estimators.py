@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from livlab.model.tissue.mie import mie_phase
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh
+from livlab.model.tissue.particles.sphere import mie_phase
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
-from livlab.model.transport.walk import Source, Tally, walk
+from livlab.model.transport.walk.walk import Source, Tally, walk
 
 pytestmark = pytest.mark.usefixtures("libllvm")
 

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from livlab.model.tissue.phase import Isotropic
+from livlab.model.tissue.phase.functions import Isotropic
 from livlab.model.tissue.stack import plain_stack
 from livlab.model.transport.device import device
 from livlab.model.transport.tally import LANE_PHOTONS
-from livlab.model.transport.walk import Source, Tally, walk
-from livlab.model.transport.walk_observers import Register
+from livlab.model.transport.walk.observers import Register
+from livlab.model.transport.walk.walk import Source, Tally, walk
 
 pytestmark = pytest.mark.usefixtures("libllvm")
 

@@ -8,7 +8,7 @@ import uuid
 from pathlib import Path
 
 from livlab.errors import InputError
-from livlab.study.jobs import EVALUATORS
+from livlab.jobs.jobs import EVALUATORS
 
 
 def nap(payload):
@@ -34,7 +34,7 @@ def die(payload):
 
 def needy(payload):
     """What every job that walks does first."""
-    from livlab.llvm import choose_libllvm
+    from livlab.machine.llvm import choose_libllvm
 
     choose_libllvm()
     return {"k": payload["k"], "pid": os.getpid()}
@@ -58,16 +58,16 @@ for function in (nap, gate, die, needy, refuse, threads):
 
 def naps(log, count, seconds=0.1):
     """Jobs that each leave a trace in `log`."""
-    from livlab.study.jobs import Job
+    from livlab.jobs.jobs import Job
 
     return [Job("nap", {"k": k, "seconds": seconds, "log": str(log)}) for k in range(count)]
 
 
 def client(address, store, log, count, seconds):
     """A study in a process of its own; prints a line an answer."""
-    from livlab.study.jobs import run_jobs
-    from livlab.study.scheduler import Remote
-    from livlab.study.store import Store
+    from livlab.jobs.jobs import run_jobs
+    from livlab.jobs.scheduler import Remote
+    from livlab.jobs.store import Store
 
     kept = Store(Path(store))
     run_jobs(naps(log, count, seconds), Remote(address), kept, lambda done, total: print(done, total, flush=True))
@@ -75,7 +75,7 @@ def client(address, store, log, count, seconds):
 
 def cluster(count):
     """A cluster in a process of its own; prints its address and ends with its standard input."""
-    from livlab.study.scheduler import Processes
+    from livlab.jobs.scheduler import Processes
 
     with Processes(count, preload=(__file__,)).connected() as connected:
         print(connected.cluster.scheduler_address, flush=True)

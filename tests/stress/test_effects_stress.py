@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments import Collinear, HyperspectralCamera, IntegratingSphere
-from livlab.model.effects.lateral import missed
-from livlab.model.effects.plan import plan
-from livlab.model.effects.plane import plane_value
-from livlab.model.effects.reduce import widened_phase
-from livlab.model.effects.scene import Scene
-from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic
+from livlab.acquire.instruments.models import Collinear, HyperspectralCamera, IntegratingSphere
+from livlab.effects.lateral import missed
+from livlab.effects.plan import plan
+from livlab.effects.plane import plane_value
+from livlab.effects.reduce import widened_phase
+from livlab.effects.scene import Scene
+from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, plain_stack
 
 CAMERA = HyperspectralCamera()

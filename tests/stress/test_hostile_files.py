@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from livlab.brdf.files import read_brdf
+from livlab.brdf.files.formats import read_brdf
 from livlab.config import load_experiment, parse_experiment
+from livlab.core.toml_text import parse_toml
 from livlab.criteria import read_claims
 from livlab.errors import ConfigError, DatasetError, InputError, LivlabError
 from livlab.model.shapes import read_mesh, read_volume
 from livlab.model.tissue.presets import read_preset
-from livlab.toml_text import parse_toml
 
 HEAD = 'schema = 1\nkind = "spectral"\nname = "a"\n'
 
@@ -55,7 +55,7 @@ def test_a_pipe_is_not_waited_for(name: str, tmp_path: Path) -> None:
 
 def test_a_picture_that_is_a_device_is_not_hashed_for_ever() -> None:
     text = HEAD.replace("spectral", "picture") + '[body]\nkind = "mesh"\npath = "/dev/zero"\n'
-    from livlab.config_picture_scene import FileSpec
+    from livlab.kinds.picture.config_scene import FileSpec
 
     assert "plain file" in refused(FileSpec(path="/dev/zero").resolve)
     assert refused(parse_experiment, text)
@@ -148,8 +148,8 @@ def test_a_small_netcdf_does_not_claim_a_large_array(tmp_path: Path) -> None:
 
 
 def test_postscript_is_no_photograph(tmp_path: Path) -> None:
-    from livlab.acquire.micrograph_files import read_pages
-    from livlab.acquire.photographs_read import read_photograph
+    from livlab.acquire.micrographs.files import read_pages
+    from livlab.acquire.photographs.read import read_photograph
 
     Image.new("RGB", (8, 8)).save(tmp_path / "a.eps")
     (tmp_path / "a.eps").rename(tmp_path / "a.png")
@@ -159,7 +159,7 @@ def test_postscript_is_no_photograph(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["../../evil", "/x/evil", "Evil", "a.b", 3])
 def test_a_material_cannot_name_a_library_by_its_path(kind: object) -> None:
-    from livlab.config_brdf import MaterialSpec
+    from livlab.kinds.brdf.config import MaterialSpec
 
     assert "plain name" in refused_section(
         {"name": "m", "bsdf": {"type": "twosided", "in": {"type": kind}}}, MaterialSpec
@@ -203,14 +203,14 @@ def test_a_name_that_leaves_the_folder_is_no_name() -> None:
 
 
 def test_paths_of_a_rig_that_are_none() -> None:
-    from livlab.acquire.rig_file import within
+    from livlab.acquire.photographs.rig_file import within
 
     for name in (".", "a\0b", "./.."):
         assert "rig path" in refused(within, Path(), name)
 
 
 def test_links_in_a_ring_are_told(tmp_path: Path) -> None:
-    from livlab.acquire.rig_file import within
+    from livlab.acquire.photographs.rig_file import within
 
     (tmp_path / "a").symlink_to(tmp_path / "b")
     (tmp_path / "b").symlink_to(tmp_path / "a")
@@ -263,7 +263,7 @@ def test_brackets_in_a_name_are_no_markup_of_the_terminal(name: str) -> None:
     ],
 )
 def test_a_fit_whose_numbers_are_none_is_no_fit(row: object, tmp_path: Path) -> None:
-    from livlab.brdf.files_fit import read_fit
+    from livlab.brdf.files.fitted import read_fit
 
     whole = {"parameter": "kd", "channel": "", "value": 0.5}
     given = {**whole, **row} if isinstance(row, dict) else row

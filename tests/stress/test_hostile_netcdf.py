@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from livlab.netcdf import NetcdfTrouble, check_heaps, load_netcdf
-from livlab.runs_compare import compare_file
-from livlab.runs_files import sha256
+from livlab.core.netcdf import NetcdfTrouble, check_heaps, load_netcdf
+from livlab.runs.compare import compare_file
+from livlab.runs.files import sha256
 
 READ = """
 import sys
 from pathlib import Path
-from livlab.netcdf import NetcdfTrouble, load_netcdf
+from livlab.core.netcdf import NetcdfTrouble, load_netcdf
 try:
     load_netcdf(Path(sys.argv[1]))
 except NetcdfTrouble as trouble:

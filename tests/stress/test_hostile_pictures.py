@@ -14,11 +14,11 @@ import pytest
 import tifffile
 from PIL import Image
 
-from livlab.acquire.micrograph_files import read_pages
-from livlab.acquire.photographs_read import read_photograph
+from livlab.acquire.micrographs.files import read_pages
+from livlab.acquire.photographs.read import read_photograph
+from livlab.core.picture_files import check_png, check_png_pixels, check_tiff
 from livlab.errors import InputError
 from livlab.model.shapes import read_volume
-from livlab.picture_files import check_png, check_png_pixels, check_tiff
 
 MOST = 64 << 20
 """Bytes that a reader may set aside for one of these files, none of which has a thousand."""

@@ -264,7 +264,7 @@ def test_a_disk_without_room_is_told_before_the_work(place: Path, disk: Path) ->
 FILL = """
 import sys
 from pathlib import Path
-from livlab import runs_work
+from livlab.runs import work as runs_work
 
 ballast, out = Path(sys.argv[1]), sys.argv[2]
 real = runs_work.Run.write_result

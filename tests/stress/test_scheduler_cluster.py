@@ -17,9 +17,9 @@ from scheduler_jobs import naps
 pytest.importorskip("distributed")
 
 from livlab.errors import EnvironmentProblem, LivlabError
-from livlab.study.jobs import Job, MemoryStore, run_jobs
-from livlab.study.scheduler import Processes, Remote
-from livlab.study.store import Store
+from livlab.jobs.jobs import Job, MemoryStore, run_jobs
+from livlab.jobs.scheduler import Processes, Remote
+from livlab.jobs.store import Store
 
 SCRIPT = str(Path(scheduler_jobs.__file__))
 WORKERS = 2
@@ -62,7 +62,7 @@ def pids(client):
 
 
 def facts_of_worker():
-    from livlab.study.scheduler.worker import facts
+    from livlab.jobs.scheduler.worker import facts
 
     return facts()
 
@@ -249,7 +249,7 @@ def test_jobs_go_round_a_worker_without_llvm_and_back_if_there_is_no_other(libll
 
 
 def test_another_version_is_refused(address, log, monkeypatch):
-    from livlab.study.scheduler import worker
+    from livlab.jobs.scheduler import worker
 
     monkeypatch.setattr(worker, "__version__", "99.0")
     with pytest.raises(EnvironmentProblem, match=r"Worker tcp://.* has livlab .*this client livlab 99\.0"):

@@ -16,9 +16,9 @@ pytest.importorskip("distributed")
 
 from livlab.config import load_experiment
 from livlab.errors import EnvironmentProblem
-from livlab.study import sweep
-from livlab.study.jobs import Job, MemoryStore, run_jobs
-from livlab.study.scheduler import Processes
+from livlab.jobs.jobs import Job, MemoryStore, run_jobs
+from livlab.jobs.scheduler import Processes
+from livlab.kinds.study import sweep
 
 POINTS = 10
 STUDY = f"""

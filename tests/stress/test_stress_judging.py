@@ -120,7 +120,7 @@ def test_a_wrong_trusted_value_is_noticed(monkeypatch, name):
 def test_a_walk_that_drops_light_is_noticed(monkeypatch):
     """A kernel whose roulette is off by one part in a hundred cannot pass."""
     pytest.importorskip("drjit")
-    from livlab.model.transport import walk_observers
+    from livlab.model.transport.walk import observers as walk_observers
 
     plain = walk_observers.Register.moments
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from livlab import runs
-from livlab.brdf.files import read_brdf
+from livlab.brdf.files.formats import read_brdf
 from livlab.config import load_experiment
 from livlab.errors import ConfigError, LivlabError
+from livlab.kinds import execute as runs
 from livlab.model.shapes import box
 
 CONFIG = """\
@@ -37,9 +37,9 @@ locale._override_localeconv.update(marks)
 """
 BACKWARDS = """\
 import datetime, itertools, types
-import livlab.runs
+import livlab.kinds.execute
 start, ticks = datetime.datetime.now(datetime.UTC), itertools.count()
-livlab.runs.datetime = types.SimpleNamespace(now=lambda zone: start - datetime.timedelta(hours=next(ticks)))
+livlab.kinds.execute.datetime = types.SimpleNamespace(now=lambda zone: start - datetime.timedelta(hours=next(ticks)))
 """
 AWAY = "A folder, with ümläuts & 空白 'quoted'"
 

@@ -11,7 +11,7 @@ import numpy as np
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
-from livlab.acquire.camera_scene import nested_stack
+from livlab.kinds.picture.scene import nested_stack
 from livlab.model.shapes import distance_field, sphere
 from livlab.model.shapes.shell import inset
 from livlab.model.tracer import stage

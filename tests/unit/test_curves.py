@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from livlab.acquire import curves
-from livlab.acquire.curves import Curve
+from livlab import curves
+from livlab.curves import Curve
 from livlab.errors import InputError, RangeError
 
 GRID = curves.regular_grid(500, 720, 20)

@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from livlab.core.files import whole, write_whole
 from livlab.errors import InputError
-from livlab.files import whole, write_whole
 from livlab.model.colour.encoding import Handling, check_channels, encode_srgb, in_gamut
 
 SRGB_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)

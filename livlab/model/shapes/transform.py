@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from livlab.model.tissue.compiled import compiled
+from livlab.core.compiled import compiled
 
 _FAR = np.float32(1e12)
 

@@ -13,10 +13,10 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.core.files import DENSEST, readable
+from livlab.core.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
 from livlab.errors import InputError
-from livlab.files import DENSEST, readable
 from livlab.model.shapes.volume import Segmentation
-from livlab.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
 
 MAX_VOXELS = 1_000_000_000
 MAX_BYTES = 16 * MAX_VOXELS

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from livlab.model.tissue.cylinder import cylinder_mean
 from livlab.model.tissue.elements import Fibre
-from livlab.model.tissue.mie import mie, mie_phase, size_parameter
-from livlab.model.tissue.phase import Rayleigh
-from livlab.model.tissue.phase_lazy import lazy_cylinders
-from livlab.model.tissue.rayleigh import SIZE_LIMIT, rayleigh_efficiency
+from livlab.model.tissue.particles.cylinder import cylinder_mean
+from livlab.model.tissue.particles.rayleigh import SIZE_LIMIT, rayleigh_efficiency
+from livlab.model.tissue.particles.sphere import mie, mie_phase, size_parameter
+from livlab.model.tissue.phase.functions import Rayleigh
+from livlab.model.tissue.phase.lazy import lazy_cylinders
 from livlab.model.tissue.setting import Setting, scatterer
 from livlab.model.tissue.spectra import refractive_index
 from livlab.model.tissue.stack import Interaction, Phase

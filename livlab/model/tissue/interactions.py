@@ -10,7 +10,7 @@ import numpy as np
 
 from livlab import datasets
 from livlab.errors import InputError
-from livlab.model.tissue import chromophores, spheroid
+from livlab.model.tissue import chromophores
 from livlab.model.tissue.elements import (
     Blood,
     Cell,
@@ -24,7 +24,8 @@ from livlab.model.tissue.elements import (
     Solute,
 )
 from livlab.model.tissue.fibres import fibre
-from livlab.model.tissue.phase import HenyeyGreenstein
+from livlab.model.tissue.particles import spheroid
+from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.setting import Setting, absorber, scatterer
 from livlab.model.tissue.stack import Interaction

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints, model_validator
 
-from livlab.config_errors import nearest
+from livlab.config.errors import nearest
 from livlab.errors import InputError
 from livlab.model.tissue.elements import Element, Share
 from livlab.model.tissue.spectra import Index, Spec, names_of

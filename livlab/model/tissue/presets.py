@@ -10,12 +10,12 @@ from typing import Any
 
 from pydantic import Field, ValidationError, model_validator
 
-from livlab.config_errors import explain, nearest
+from livlab.config.errors import explain, nearest
+from livlab.core.files import readable
+from livlab.core.toml_text import parse_toml
 from livlab.errors import ConfigError, InputError
-from livlab.files import readable
 from livlab.model.tissue.spectra import Spec
 from livlab.model.tissue.tissue import Tissue, override
-from livlab.toml_text import parse_toml
 
 LARGEST_BYTES = 1 << 20
 """A preset file is some pages."""

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args
 import pandas as pd
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from livlab.config_errors import explain, nearest
+from livlab.config.errors import explain, nearest
 from livlab.errors import InputError
 
 ReadingName = Literal["thesis", "consistent", "measured"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from livlab.model.tissue.phase import Isotropic
+from livlab.model.tissue.phase.functions import Isotropic
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import Interaction, Phase
 from livlab.units import FloatArray

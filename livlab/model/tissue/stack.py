@@ -129,7 +129,7 @@ class PlaneLayer:
 
     def phase(self, index: int) -> Phase:
         """The layer's phase function at one wavelength: its scatterers' mixture, weighted by scattering."""
-        from livlab.model.tissue.phase import mixture
+        from livlab.model.tissue.phase.functions import mixture
 
         parts = [i for i in self.interactions if i.rate[index] * i.albedo[index] > 0]
         weights = [float(i.rate[index] * i.albedo[index] * REDIRECT_MEAN[i.redirect]) for i in parts]

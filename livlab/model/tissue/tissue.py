@@ -9,8 +9,8 @@ from typing import Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from livlab import markup
-from livlab.config_errors import explain, nearest
+from livlab.config.errors import explain, nearest
+from livlab.core import markup
 from livlab.errors import ConfigError, InputError
 from livlab.model.tissue.elements import Cell, Element, Fibre, Mixture
 from livlab.model.tissue.layers import FlatLayer, Layer

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from livlab.model.tracer.crossing import cross
 from livlab.model.tracer.flight import Flight, Flights
+from livlab.model.tracer.interface import cross
+from livlab.model.tracer.interior import stroll
 from livlab.model.tracer.lights import Lights
 from livlab.model.tracer.medium import NONE, Medium
+from livlab.model.tracer.next_event import Asked, Peel
 from livlab.model.tracer.objects import Objects, others
-from livlab.model.tracer.peel import Asked, Peel
 from livlab.model.tracer.state import (
     ASK,
     BARRIER,
@@ -33,7 +34,6 @@ from livlab.model.tracer.state import (
     Place,
     State,
 )
-from livlab.model.tracer.stroll import stroll
 from livlab.model.tracer.surface import FAR, Hit, Surface
 from livlab.model.transport import rng as random
 from livlab.model.transport.device import Device

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from livlab.errors import InputError
 from livlab.model.tissue.stack import REDIRECT_MEAN, Interaction, OpticalStack, Phase, PlaneLayer
 from livlab.model.transport.fresnel import fresnel
-from livlab.model.transport.walk_tables import Tables, tables
+from livlab.model.transport.walk.tables import Tables, tables
 from livlab.units import FloatArray
 
 CELLS_PER_OCTAVE = 64
@@ -232,7 +232,7 @@ def _rows(
 
 def _is_plain(parts: Sequence[Interaction]) -> bool:
     """Whether all scatter alike, by a law in closed form that is the same at all wavelengths."""
-    from livlab.model.tissue.phase import HenyeyGreenstein, Isotropic, Rayleigh
+    from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 
     if not parts:
         return True

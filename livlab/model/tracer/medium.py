@@ -11,7 +11,7 @@ import numpy as np
 from livlab.model.tracer.media import CELLS_PER_OCTAVE, FRESNEL_CELLS, NEVER, OCTAVES, Media
 from livlab.model.tracer.state import Ledger
 from livlab.model.transport.device import Device
-from livlab.model.transport.walk_tables import HENYEY_GREENSTEIN, ISOTROPIC, RAYLEIGH, REDIRECTS
+from livlab.model.transport.walk.tables import HENYEY_GREENSTEIN, ISOTROPIC, RAYLEIGH, REDIRECTS
 
 FOURPI = 12.566370614359172
 _SHIFT = 23 - (CELLS_PER_OCTAVE.bit_length() - 1)

@@ -55,7 +55,7 @@ def register(variant: str = VARIANT, planner: Planner | None = None) -> Any:
         A spectral variant of Mitsuba.
     planner
         What effects = "planned" asks: from a stack and a tolerance to the stack that the scene calls for; see
-        `livlab.model.effects`.
+        `livlab.effects`.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def _settings(props: Any) -> dict[str, Any]:
     found = dict(DEFAULTS)
     for key in props.keys():  # noqa: SIM118 - Mitsuba's Properties do not iterate
         if key not in DEFAULTS:
-            from livlab.config_errors import nearest
+            from livlab.config.errors import nearest
 
             hint = nearest(key, DEFAULTS) or f"Known: {', '.join(DEFAULTS)}."
             raise InputError.of(f"{NAME}.{key}", props[key], "is no property", hint)

@@ -80,7 +80,7 @@ class Meeting:
     chance
         With which the lamp was asked for.
     turned
-        Density with which the path was last turned: see `livlab.model.tracer.share`.
+        Density with which the path was last turned: see `livlab.model.tracer.mis`.
     """
 
     layer: Any

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any
 
 from livlab.errors import EnvironmentProblem
-from livlab.llvm import choose_libllvm
+from livlab.machine.llvm import choose_libllvm
 from livlab.model.transport.device import limit_threads
 
 DEFAULT_VARIANT = "llvm_ad_mono"

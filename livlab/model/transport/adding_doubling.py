@@ -116,7 +116,7 @@ def adding_doubling(
     Examples
     --------
     >>> from livlab.model.tissue.stack import plain_stack
-    >>> from livlab.model.tissue.phase import HenyeyGreenstein
+    >>> from livlab.model.tissue.phase.functions import HenyeyGreenstein
     >>> slab = plain_stack([(1.0, 1.0, 9.0, 0.2, HenyeyGreenstein(0.75))])
     >>> result = adding_doubling(slab)
     >>> round(float(result.reflectance[0]), 5), round(float(result.transmittance[0]), 5)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from livlab.errors import EnvironmentProblem, InputError
-from livlab.llvm import THREADS, choose_libllvm
+from livlab.machine.llvm import THREADS, choose_libllvm
 
 Variant = Literal["llvm", "cuda"]
 

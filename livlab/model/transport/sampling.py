@@ -20,7 +20,7 @@ from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.geometry import Readout
 from livlab.model.transport.tally import Moments
-from livlab.model.transport.walk_tables import Estimator
+from livlab.model.transport.walk.tables import Estimator
 from livlab.units import FloatArray
 
 BUDGET = ("reflectance", "transmittance", "lost", "redirect_loss", "residual", "absorbed")
@@ -210,7 +210,7 @@ class Walks:
 
     def launch(self, active: NDArray[np.intp], samples: int) -> None:
         """Walk `samples` photons at each of some wavelengths, and add them up."""
-        from livlab.model.transport.walk import walk
+        from livlab.model.transport.walk.walk import walk
 
         started = self._clock()
         part = walk(

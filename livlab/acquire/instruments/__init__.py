@@ -1,0 +1,1 @@
+"""Virtual instruments: spectrometers, spheres, fibre probes, cameras, the goniometer, the sphere rig."""

@@ -1,0 +1,1 @@
+"""Micrographs: volume fractions of what was stained."""

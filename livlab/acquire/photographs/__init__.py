@@ -1,0 +1,1 @@
+"""Photographs of spheres: rig files, calibration, lights, pose, reading and merging."""

@@ -1,0 +1,1 @@
+"""Fitting BRDF models to samples."""

@@ -1,0 +1,1 @@
+"""Files and kernels: reading with limits, writing whole, NetCDF, TOML, markup, compiled code."""

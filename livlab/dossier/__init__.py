@@ -1,0 +1,1 @@
+"""The dossier: every experiment run or reused, and the site of all claims."""

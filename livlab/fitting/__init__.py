@@ -1,0 +1,1 @@
+"""Fitting tissue to measurements: problem, targets, scenes, forward models, intervals."""

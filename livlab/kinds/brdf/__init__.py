@@ -1,0 +1,1 @@
+"""Experiments that extract BRDFs from spheres."""

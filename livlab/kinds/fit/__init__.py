@@ -1,0 +1,1 @@
+"""Experiments that fit a tissue to measurements."""

@@ -1,0 +1,156 @@
+"""The fit job: measured curves → targets → search with fresh draws → intervals, checks on unseen bands, claims."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from livlab.errors import InputError, Interrupted
+from livlab.fitting.fit import GUIDE, FitOutcome
+from livlab.kinds.fit import coverage as fit_coverage
+from livlab.kinds.fit import tables
+from livlab.kinds.fit.config import FitExperiment, Measurement
+from livlab.kinds.fit.round_trip import SEEDS, Trip, round_trip
+from livlab.kinds.fit.setup import Curve, FitSetup
+from livlab.kinds.spectral import tables as spectral_tables
+from livlab.kinds.spectral.claims import Known, load_reference
+from livlab.kinds.spectral.config import Reference
+from livlab.machine.gpu import name_device
+
+if TYPE_CHECKING:
+    from livlab.runs.work import Run
+
+
+def prepare(config: FitExperiment) -> Callable[[Run], None]:
+    """Everything that can go wrong before light is followed: datasets, bands, the tissue at the start.
+
+    Raises
+    ------
+    InputError
+        A measurement without enough points on the wavelengths, or none to fit that is to be had.
+    DatasetError, RangeError
+        A dataset that is damaged, or does not reach.
+    """
+    known = [_load(m) for m in config.measurement]
+    grid = config.wavelengths.grid()
+    if not any(m.role == "fit" and k.dataset for m, k in zip(config.measurement, known, strict=True)):
+        raise InputError.of(
+            "measurement", "none available", known[0].reason or "has no numbers", "Add the data: livlab data add FILE."
+        )
+    curves = {m.label: Curve.known(k, grid) for m, k in zip(config.measurement, known, strict=True) if k.dataset}
+    setup = FitSetup.of(config, curves)
+    return lambda run: _work(run, setup, known)
+
+
+def _load(m: Measurement) -> Known:
+    return load_reference(
+        Reference(label=m.label, dataset=m.dataset, column=m.column, sd_column=m.sd_column, subjects=m.subjects)
+    )
+
+
+def _work(run: Run, setup: FitSetup, known: Sequence[Known]) -> None:
+    config, forward, targets = setup.config, setup.forward, setup.targets
+    begun = time.perf_counter()
+    name_device(run.info, config.variant)
+    run.progress.begin(["fit", *(["round trips"] if config.round_trip else [])])
+
+    def tell(stage: str, share: float) -> None:
+        run.progress.advance("fit", min(share, 0.999), stage)
+        if stage == "record":
+            run.stop_if_asked()
+
+    try:
+        found = setup.search(progress=tell, stopping=run.stopping.is_set)
+    except Interrupted:
+        run.stop_if_asked()
+        raise
+    run.progress.advance("fit", 1.0)
+    best, begin = setup.curves(found)
+    for text in setup.said(found):
+        run.note(text)
+    run.write_result({"/": tables.result(config, best, begin, targets, found)})
+    scores = tables.scores(config, targets, best.value, begin)
+    run.write_table("fit.csv", tables.INTERVALS, tables.intervals(config, found))
+    run.write_table("scores.csv", tables.SCORES, scores)
+    run.write_table("correlation.csv", *tables.correlation(config, found))
+    run.write_table("path.csv", *tables.path(config, found))
+    run.write_table("costs.csv", tables.COSTS, tables.costs(config.reading.name, found, forward, best))
+    run.write_table("recordings.csv", tuple(forward.recordings[0]), forward.recordings)
+    tissue, reading = config.tissue.build(), (config.reading,)
+    run.write_table("tissue.csv", *spectral_tables.tissue(tissue, reading))
+    run.write_table("provenance.csv", *spectral_tables.provenance(tissue, reading, config.wavelengths.grid(), known))
+    if config.bench:
+        run.write("bench.json", json.dumps(_bench(setup, found), separators=(",", ":"), allow_nan=False))
+    trips = _round_trips(run, setup) if config.round_trip is not None else []
+    if trips:
+        run.write_table("round_trip.csv", *fit_coverage.by_parameter(trips, config.labels()))
+        run.write_table("round_trips.csv", *fit_coverage.by_tissue(trips, config.labels()))
+        for text in fit_coverage.sentences(trips, config.labels()):
+            run.note(text)
+    seconds = time.perf_counter() - begun
+    reasons = {k.spec.label: k.reason for k in known}
+    claims = tables.claims(config, scores, found, fit_coverage.overall(trips), reasons, seconds)
+    run.write_claims(claims)
+    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+
+
+def _round_trips(run: Run, setup: FitSetup) -> list[Trip]:
+    """Every tissue's own numbers depend on its number and the seed alone."""
+    config, how = setup.config, setup.config.round_trip
+    assert how is not None
+    for scene in setup.forward.scenes:
+        scene.standard_error = how.standard_error
+    trips = []
+    for number in range(how.tissues):
+        run.stop_if_asked()
+        run.progress.advance("round trips", number / how.tissues, f"tissue {number + 1}")
+        trips.append(
+            round_trip(
+                setup.forward,
+                setup.fitted,
+                setup.space,
+                relative_sd=how.relative_sd,
+                rng=np.random.default_rng([config.seed, number]),
+                seed=config.seed + (number + 1) * SEEDS,
+                level=config.level,
+                starts=config.search.starts,
+                algorithm=setup.algorithm,
+                stopping=run.stopping.is_set,
+            )
+        )
+    run.progress.advance("round trips", 1.0)
+    return trips
+
+
+def _bench(setup: FitSetup, found: FitOutcome) -> dict[str, Any]:
+    """The bench about the fitted tissue of the first measurement, and the curves measured on it."""
+    from livlab.kinds.spectral.bench import bench_data
+
+    config = setup.config
+    scene = config.scenes()[0]
+    size = len(config.wavelengths.grid())
+    known = [
+        {
+            "label": label,
+            "value": [float(v) if u and np.isfinite(v) else None for v, u in zip(t.data[:size], t.use, strict=False)],
+            "absolute": t.scaling == "none",
+        }
+        for label, t in setup.targets.items()
+        if label in scene.labels
+    ]
+    return bench_data(
+        setup.tissue(scene.labels[0], found.best),
+        config.reading,
+        config.wavelengths.grid(),
+        config.instrument,
+        references=known,
+        standard_error=GUIDE * config.search.standard_error,
+        seed=config.seed,
+    )
+
+
+__all__ = ["prepare"]

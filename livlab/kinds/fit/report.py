@@ -1,0 +1,104 @@
+"""What the report of a fit shows between its claims and its provenance."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from livlab.kinds.fit import report_figures as draw
+from livlab.kinds.fit.report_round_trip import round_trip_section
+from livlab.reports.bench import bench_section
+from livlab.reports.figures import Pictures
+from livlab.reports.folder import RunData
+from livlab.reports.tables import Section, Text, from_frame, number
+
+_HEADINGS = {"sd": "standard deviation", "drift": "moved by fresh draws", "lower": "from", "upper": "to"}
+
+
+def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
+    """Sections of a run of kind "fit"."""
+    if run.result is None or not len(run.table("fit")):
+        return []
+    result, found = run.result, run.table("fit")
+    level = float(result.attrs["level"])
+    curves = Section("curves", "The curves, and what the fit makes of them")
+    curves.content.extend(
+        [
+        pictures.add(
+                "fit-curves",
+                draw.curves(result),
+                "Measured and fitted curves as they were compared; shaded: ±2σ of the measurement.",
+            ),
+        from_frame(
+            run.table("scores").dropna(axis="columns", how="all"),
+            "RMSE and Pearson's correlation of the compared curves, fitted and at the start.",
+            titles={"first_nm": "first [nm]", "last_nm": "last [nm]", "rmse": "RMSE", "pearson": "Pearson",
+                    "rmse_start": "RMSE at the start", "pearson_start": "Pearson at the start"},
+        ),
+        ]
+    )  # fmt: skip
+    values = Section("parameters", "The tissue that fits")
+    values.content.extend(
+        [
+            Text(_verdict(run, found)),
+            from_frame(
+                found.assign(drift=found["drift"].where(found["drift"].abs() > 1e-9 * found["value"].abs(), 0.0)),
+                f"Fitted values with {level:.0%} profile-likelihood intervals. An open end is a bound that the data "
+                "do not exclude. The standard deviation takes what sits at a bound as known.",
+                titles=_HEADINGS,
+                only=["parameter", "unit", "value", "lower", "upper", "open", "sd", "drift", "status", "start"],
+            ),
+            pictures.add("fit-intervals", draw.intervals(found, level), "Values and intervals between their bounds."),
+        ]
+    )
+    if len(run.table("correlation")) > 1:
+        values.content.append(
+            pictures.add("fit-correlation", draw.correlation(run.table("correlation")), "Correlation at the optimum.")
+        )
+    search = Section("search", "The search, and its price")
+    search.content.extend(
+        [
+            pictures.add(
+                "fit-path", draw.path(run.table("path")), "Loss of each trial (dots) and the best so far (line)."
+            ),
+            from_frame(
+                run.table("costs"),
+                "What each stage took.",
+                only=["stage", "seconds", "evaluations", "samples", "error"],
+                titles={"error": "standard error of the total reflectance"},
+            ),
+            from_frame(run.table("recordings"), "The recorded walks.", folded="Recordings"),
+        ]
+    )
+    return [curves, *bench_section(run), values, round_trip_section(run, pictures), search]
+
+
+def _verdict(run: RunData, found: pd.DataFrame) -> str:
+    assert run.result is not None
+    a = run.result.attrs
+    held = found[found["status"] == "free"]["parameter"].tolist()
+    bound = found[found["status"].str.contains("bound")]["parameter"].tolist()
+    told = [
+        f"{int(a['evaluations'])} evaluations found a loss of {number(float(a['loss']), 3)}"
+        + (", which fresh draws confirmed." if int(a["settled"]) else ", which fresh draws did not confirm.")
+    ]
+    if bound:
+        told.append(f"At a bound: {_and(bound)}; the optimum may lie beyond it.")
+    free = found[found["open"].astype(str) == "both"]["parameter"].tolist()
+    if free:
+        told.append(f"Not identifiable: {_and(free)}, whose interval reaches from bound to bound.")
+    if a["verdict"] != "held" and held:
+        condition = number(float(a["condition"]), 2)
+        told.append(
+            f"As a whole the data hold {_and(held)} only {'weakly' if a['verdict'] == 'weak' else 'in part'} "
+            f"(condition number {condition}): see the notes for the combination that they leave open."
+        )
+    if abs(float(a["autocorrelation"])) > 0.3:
+        told.append(
+            f"Neighbouring residuals are alike (correlation {number(float(a['autocorrelation']), 2)}): what is left is "
+            "the model's own misfit, and the intervals count fewer points for it."
+        )
+    return " ".join(told)
+
+
+def _and(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

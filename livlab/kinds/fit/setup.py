@@ -1,0 +1,280 @@
+"""What a fit is set up from, whoever asks for it: targets, forward models of each tissue measured, and the search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from livlab.errors import InputError, RangeError
+from livlab.fitting.fit import FitOutcome, fit
+from livlab.fitting.forward import LedgerForward, Response
+from livlab.fitting.scenes import JointForward
+from livlab.fitting.targets import Target
+from livlab.kinds.fit import tables
+from livlab.kinds.fit.config import FitExperiment, Measurement, Scene
+from livlab.model.tissue.tissue import Tissue, override
+from livlab.optimise import ParameterSpace
+from livlab.units import FloatArray
+
+if TYPE_CHECKING:
+    from livlab.kinds.spectral.claims import Known
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A measured curve on the fit's wavelengths.
+
+    Attributes
+    ----------
+    data, sd
+        (W,) the curve and its standard deviation over subjects (None: not known); nan outside its range.
+    measured_nm
+        (N,) rising wavelengths at which it was measured; what lies between is interpolated.
+    """
+
+    data: FloatArray
+    sd: FloatArray | None
+    measured_nm: FloatArray
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """First and last wavelength that it has."""
+        return float(self.measured_nm[0]), float(self.measured_nm[-1])
+
+    @classmethod
+    def known(cls, reference: Known, grid: FloatArray) -> Self:
+        """A dataset's curve on the grid."""
+        assert reference.dataset is not None
+        return cls(*reference.at(grid), reference.dataset.wavelength_nm)
+
+    def own(self, use: NDArray[np.bool_], grid: FloatArray) -> NDArray[np.bool_]:
+        """`use` without what is only interpolated: where the grid is finer than the measurement, the nearest points.
+
+        N measured numbers that are compared at M > N wavelengths would count as M, and intervals would be too narrow by
+        about √(M/N).
+
+        >>> curve = Curve(np.arange(5.0), None, np.array([500.0, 540.0]))
+        >>> curve.own(np.full(5, True), np.linspace(500.0, 540.0, 5)).tolist()
+        [True, False, False, False, True]
+        """
+        at = grid[use]
+        if at.size < 2:
+            return use
+        half = 0.5 * float(np.diff(at).min())
+        own = self.measured_nm[(self.measured_nm >= at[0] - half) & (self.measured_nm <= at[-1] + half)]
+        if own.size >= at.size:
+            return use
+        nearest = np.abs(at[:, None] - own).argmin(axis=0)
+        kept = np.zeros_like(use)
+        kept[np.flatnonzero(use)[nearest]] = True
+        return kept
+
+
+@dataclass(frozen=True, eq=False)
+class FitSetup:
+    """A fit before any light is followed.
+
+    Attributes
+    ----------
+    config
+        What is asked.
+    space, forward
+        The parameters, and the model: the curves of all tissues that were measured, end to end.
+    targets
+        What is to be had of the measurements, by label.
+    notes
+        What was left out of a measurement, and why.
+    """
+
+    config: FitExperiment
+    space: ParameterSpace
+    forward: JointForward
+    targets: dict[str, Target]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, config: FitExperiment, curves: Mapping[str, Curve]) -> Self:
+        """Everything that can go wrong before light is followed: bands, the tissue at the start.
+
+        Raises
+        ------
+        InputError
+            A curve without enough points on the wavelengths.
+        RangeError, DatasetError
+            A dataset of the tissue that is damaged, or does not reach.
+        """
+        scenes, grid = config.scenes(), config.wavelengths.grid()
+        measured = [m for m in config.measurement if m.label in curves]
+        targets = {m.label: target(m, curves[m.label], grid, scene_of(scenes, m.label), len(scenes)) for m in measured}
+        notes = tuple(_thinned(targets[m.label], curves[m.label], m, grid) for m in measured)
+        space = ParameterSpace(config.parameters())
+        forward = JointForward([_forward(config, scene) for scene in scenes], [scene.keys for scene in scenes])
+        forward.stack(space.values(space.vector({})))
+        return cls(config, space, forward, targets, tuple(filter(None, notes)))
+
+    @property
+    def fitted(self) -> list[Target]:
+        """The targets that the fit sees."""
+        return [self.targets[m.label] for m in self.config.measurement if m.role == "fit" and m.label in self.targets]
+
+    @property
+    def algorithm(self) -> str | tuple[str, ...]:
+        """As `livlab.fitting.fit.fit` takes it."""
+        asked = self.config.search.algorithm
+        return "auto" if asked == ("auto",) else asked
+
+    def search(
+        self,
+        *,
+        progress: Callable[[str, float], None] | None = None,
+        stopping: Callable[[], bool] | None = None,
+    ) -> FitOutcome:
+        """`livlab.fitting.fit.fit` as the experiment asks for it."""
+        how = self.config.search
+        return fit(
+            self.forward,
+            self.fitted,
+            self.space,
+            algorithm=self.algorithm,
+            starts=how.starts,
+            seed=self.config.seed,
+            max_evaluations=how.max_evaluations,
+            max_seconds=how.max_seconds,
+            most_recordings=how.most_recordings,
+            level=self.config.level,
+            progress=progress,
+            stopping=stopping,
+        )
+
+    def curves(self, found: FitOutcome) -> tuple[Response, FloatArray]:
+        """The model at the optimum, and at the start, nan where the last walk cannot answer for the start."""
+        first = self.forward.answer(found.space.values(found.space.vector({})))
+        return self.forward.answer(found.best), np.where(first.valid, first.value, np.nan)
+
+    def said(self, found: FitOutcome) -> list[str]:
+        """What a report must show, by the parameters' labels, once each."""
+        texts = (*self.notes, *self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
+        return list(dict.fromkeys(tables.named(text, self.config) for text in texts))
+
+    def tissue(self, label: str, best: Mapping[str, float]) -> Tissue:
+        """The tissue that a measurement saw, at these values of the parameters."""
+        scenes = self.config.scenes()
+        scene = scenes[scene_of(scenes, label)]
+        values = {**scene.set, **{path: best[key] for path, key in scene.keys.items()}}
+        return override(self.config.tissue.build(), values, by="fit")
+
+
+def scene_of(scenes: list[Scene], label: str) -> int:
+    """Number of the scene that a measurement saw."""
+    return next(i for i, scene in enumerate(scenes) if label in scene.labels)
+
+
+def _forward(config: FitExperiment, scene: Scene) -> LedgerForward:
+    tissue = config.tissue.build()
+    return LedgerForward(
+        override(tissue, scene.set, by="measurement") if scene.set else tissue,
+        config.reading,
+        config.wavelengths.grid(),
+        config.instrument,
+        list(scene.keys),
+        standard_error=config.search.standard_error,
+        variant=config.variant,
+    )
+
+
+def target(m: Measurement, curve: Curve, grid: FloatArray, place: int, scenes: int) -> Target:
+    """A measurement on the wavelengths of its own scene; the other scenes' places are not used.
+
+    Raises
+    ------
+    InputError
+        A curve shorter than its band, or that cannot be compared.
+    """
+    data = curve.data
+    if m.sd_column is not None and curve.sd is not None:
+        sigma = curve.sd / np.sqrt(m.subjects)
+    elif m.sd is not None:
+        sigma = np.full_like(data, m.sd)
+    elif m.relative_sd is not None:
+        sigma = m.relative_sd * np.abs(data)
+    else:
+        sigma = np.full_like(data, np.nan)
+    use = np.isfinite(data)
+    if m.band_nm is not None:
+        band = (grid >= m.band_nm[0]) & (grid <= m.band_nm[1])
+        if not use[band].all():
+            low, high = curve.range_nm
+            had = (max(low, m.band_nm[0]), min(high, m.band_nm[1]))
+            remedy = f"Use band_nm = [{had[0]:g}, {had[1]:g}]." if had[0] < had[1] else "Use a curve of that band."
+            raise InputError.of(
+                f"measurement {m.label}.band_nm", m.band_nm, f"reaches beyond the curve, {low:g}–{high:g} nm", remedy
+            )
+        use &= band
+    if m.loss != "colour":  # three numbers, which need every wavelength between
+        use = curve.own(use, grid)
+    colour = colour_of(m, grid[use])
+
+    def placed(values: Any, empty: Any) -> Any:
+        made = np.full((scenes, len(grid)), empty)
+        made[place] = values
+        return made.ravel()
+
+    return Target(
+        m.label, placed(use, False), placed(data, np.nan), placed(sigma, np.nan), m.scaling, m.loss, m.weight, colour
+    )
+
+
+def _thinned(made: Target, curve: Curve, m: Measurement, grid: FloatArray) -> str:
+    """What to say of a curve with fewer points than the wavelengths compared; nothing for others."""
+    low, high = m.band_nm or (-np.inf, np.inf)
+    there = int((np.isfinite(curve.data) & (grid >= low) & (grid <= high)).sum())
+    if m.loss == "colour" or made.size == there:
+        return ""
+    return (
+        f"{m.label} was measured at fewer wavelengths than the fit has: {made.size} of {there} are compared, the "
+        "nearest to the measured ones, since what lies between is interpolated and tells nothing more."
+    )
+
+
+def colour_of(m: Measurement, wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray] | None:
+    """The colour of a curve, where the loss is one.
+
+    Raises
+    ------
+    InputError
+        A band that leaves out more of white's light than a colour can do without.
+    """
+    if m.loss != "colour":
+        return None
+    try:
+        return _lab_of(wavelength_nm)
+    except (RangeError, InputError) as error:
+        band = f"{wavelength_nm[0]:g}–{wavelength_nm[-1]:g} nm" if len(wavelength_nm) else "no wavelength"
+        raise InputError.of(
+            f"measurement {m.label}.loss",
+            "colour",
+            f"needs a band that holds 99 % of white's luminance, and {band} are compared: {error.message}",
+            "Compare 450–720 nm or more with steps of 10 nm or less (wavelengths, band_nm, and what the dataset has), "
+            "or use another loss.",
+        ) from None
+
+
+def _lab_of(wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """CIE L*a*b* of a reflectance under D65 for the 2° observer, white being a perfect diffuser."""
+    from livlab.model.colour import cie_weights
+
+    weights = cie_weights(wavelength_nm).transpose("channel", "wavelength").to_numpy()
+
+    def lab(curve: FloatArray) -> FloatArray:
+        from colour import RGB_COLOURSPACES, RGB_to_XYZ, XYZ_to_Lab
+
+        return np.asarray(XYZ_to_Lab(RGB_to_XYZ(weights @ curve, RGB_COLOURSPACES["sRGB"])))
+
+    return lab
+
+
+__all__ = ["Curve", "FitSetup", "colour_of", "scene_of", "target"]

@@ -1,0 +1,1 @@
+"""Experiments that render pictures of organs."""

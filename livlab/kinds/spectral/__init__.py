@@ -1,0 +1,1 @@
+"""Experiments that measure the spectrum of a tissue with a virtual instrument."""

@@ -1,0 +1,385 @@
+"""The bench's data: one recorded walk, tabulated so that a page can move a tissue's values without a server.
+
+What leaves plane layers depends on the last layer's absorption alone if nothing else is changed; if that layer is
+endless, on its absorption over its reduced scattering. So the ledger is asked along that one number at each wavelength,
+and a cubic through values and exact slopes carries it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from livlab.acquire.instruments.models import Instrument
+from livlab.errors import InputError
+from livlab.fitting.forward import LedgerForward
+from livlab.model.tissue import chromophores
+from livlab.model.tissue.elements import (
+    Blood,
+    Cell,
+    LawAbsorber,
+    Mixture,
+    Pigment,
+    PowerLawScatterer,
+    PublishedScatterer,
+    Solute,
+)  # fmt: skip
+from livlab.model.tissue.interactions import interaction
+from livlab.model.tissue.optics import optical_stack
+from livlab.model.tissue.readings import Reading
+from livlab.model.tissue.setting import Setting
+from livlab.model.tissue.spectra import refractive_index
+from livlab.model.tissue.tissue import Tissue, override
+from livlab.units import FloatArray, um_to_mm
+
+NODES = 32
+"""Points of a wavelength's table: between them the cubic is within 1e-5 of the ledger (tested)."""
+
+MOST = 201
+STEP_NM = 10.0
+
+RADII_UM = (1.0, 100.0)
+AMPLITUDES = (0.4, 2.5)
+EXPONENTS = (-1.0, 1.0)
+DECIMALS = 9
+
+
+def bench_data(
+    tissue: Tissue,
+    reading: Reading,
+    wavelength_nm: FloatArray,
+    instrument: Instrument,
+    *,
+    references: Sequence[Mapping[str, Any]] = (),
+    standard_error: float = 1e-3,
+    seed: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Everything that a page needs to answer for other blood, oxygen, bile, lipid, vessels and scattering.
+
+    Parameters
+    ----------
+    tissue, reading, wavelength_nm, instrument
+        The scene; the values of the tissue's last layer can be moved.
+    references
+        Curves to compare with: label, value (W,) (None where unknown).
+    standard_error, seed
+        Of the recorded walk.
+
+    Returns
+    -------
+    Plain data for JSON: `sliders` (path, label, unit, low, high, value, log), `parts` (spectra of what absorbs, 1/mm),
+    `scattering` (1/mm), `table` (nodes of ln x, value, slope, standard error, first and last valid node),
+    `references`, `colour` (weights to linear sRGB), and what it cost.
+
+    Raises
+    ------
+    InputError
+        A last layer with nothing to move.
+    """
+    started = time.perf_counter()
+    plain = tissue.under(reading)
+    endless = _made_endless(plain, instrument)
+    layer = endless.layers[-1]
+    grid = np.asarray(wavelength_nm, dtype=np.float64)
+    at = f"layers.{layer.name}"
+    parts, sliders = _parts(endless, reading, grid)
+    if not sliders:
+        raise InputError.of("tissue", layer.name, "has no value that a bench can move", "Use a layer with blood, say.")
+    # The choices are made, so that no reading changes what a slider sets.
+    forward = LedgerForward(endless, reading, grid, instrument, (), standard_error=standard_error)
+    stack = forward.stack({})
+    last = stack.layers[-1]
+    g = np.array([sum_g(last, k) for k in range(len(grid))])
+    reduced = last.scattering * (1.0 - g)
+    thickness = layer.thickness_mm
+    free = math.isinf(thickness) and not _sided(instrument)
+    if free:
+        sliders += _scattering(endless, at)
+    least, most = _extremes(parts, sliders, reduced, free)
+    white = _with_absorption(forward, stack, WHITER * last.absorption)
+    forward.record_stacks(stack, [white], seed=seed, progress=progress)
+    table = _table(forward, stack, np.log(least), np.log(most), reduced if free else np.ones_like(reduced))
+    return {
+        "version": 1,
+        "title": f"{tissue.name}, {reading.name}",
+        "layer": layer.name,
+        "wavelength_nm": _numbers(grid),
+        "endless": free,
+        "sliders": sliders,
+        "parts": parts,
+        "scattering_per_mm": _numbers(reduced),
+        "law": _law(endless, tissue) if free else None,
+        "table": table,
+        "references": [dict(r) for r in references],
+        "colour": _colour(grid),
+        "instrument": instrument.kind,
+        "reading": reading.name,
+        "standard_error": standard_error,
+        "photons": int(forward.recordings[-1]["photons"]),  # type: ignore[call-overload]
+        "seed": seed,
+        "seconds": round(time.perf_counter() - started, 3),
+        "digest": forward.ledger.about["digest"] if forward.ledger else "",
+    }
+
+
+def bench_grid(wavelength_nm: FloatArray) -> FloatArray:
+    """The band of an experiment in steps of at most 10 nm, 201 at most, so that a curve can be drawn."""
+    grid = np.asarray(wavelength_nm, dtype=np.float64)
+    low, high = float(grid[0]), float(grid[-1])
+    if len(grid) > MOST:
+        return np.linspace(low, high, MOST)
+    steps = np.diff(grid)
+    if len(grid) > 1 and steps.max() <= STEP_NM:
+        return grid
+    return np.linspace(low, high, max(2, min(MOST, 1 + math.ceil((high - low) / STEP_NM))))
+
+
+def sum_g(layer: Any, k: int) -> float:
+    """Mean cosine of a layer's scattering at the k-th wavelength."""
+    shares = [float(i.rate[k] * i.albedo[k]) for i in layer.interactions]
+    total = math.fsum(shares)
+    turned = math.fsum(s * i.phases[k].anisotropy for s, i in zip(shares, layer.interactions, strict=True) if s > 0)
+    return turned / total if total > 0 else 0.0
+
+
+def _sided(instrument: Instrument) -> bool:
+    """Whether the instrument sees places: a sample with sides, a port, fibres."""
+    side = getattr(instrument, "sample_side_mm", "infinite")
+    port = getattr(instrument, "port_diameter_mm", "infinite")
+    return side != "infinite" or port != "infinite" or instrument.kind == "fibre-probe"
+
+
+def _made_endless(plain: Tissue, instrument: Instrument) -> Tissue:
+    """The tissue with its last layer endless, where it is thicker than any light gets and nothing has sides."""
+    layer = plain.layers[-1]
+    if _sided(instrument) or layer.thickness_mm < ENDLESS_MM:
+        return plain
+    return override(plain, {f"layers.{layer.name}.thickness_mm": math.inf}, by="bench")
+
+
+ENDLESS_MM = 50.0
+"""A last layer at least this thick is taken as endless in a bench: light that got through it would not be seen."""
+
+
+def _parts(tissue: Tissue, reading: Reading, grid: FloatArray) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """What absorbs in the last layer, as spectra and the sliders that weigh them; the rest is one fixed spectrum."""
+    from livlab import datasets
+
+    layer = tissue.layers[-1]
+    at = f"layers.{layer.name}.elements"
+    setting = Setting(grid, refractive_index(layer.index, grid, lambda _: None), reading)
+    parts: list[dict[str, Any]] = []
+    sliders: list[dict[str, Any]] = []
+    known = np.zeros_like(grid)
+    for name, element in layer.elements.items():
+        path = f"{at}.{name}"
+        word = name.replace("_", " ")
+        if isinstance(element, Blood):
+            table = datasets.load(element.dataset)
+            ends = [
+                chromophores.whole_blood(
+                    s,
+                    table.interpolate(element.hbo2_column, grid, unit="1/(cm M)"),
+                    table.interpolate(element.hb_column, grid, unit="1/(cm M)"),
+                    element.haemoglobin_g_per_l,
+                )
+                for s in (0.0, 1.0)
+            ]
+            parts.append({"kind": "blood", "path": path, "deoxy": _numbers(ends[0]), "oxy": _numbers(ends[1])})
+            sliders += [
+                _slider(f"{path}.fraction", f"{word} fraction", "", 0.002, 0.2, element.fraction, log=True),
+                _slider(f"{path}.oxygenation", "oxygenation", "", 0.0, 1.0, element.oxygenation),
+                _slider(
+                    f"{path}.vessel_radius_um", "vessel radius", "µm", *RADII_UM, element.vessel_radius_um, log=True
+                ),
+            ]
+            whole = ends[0] + element.oxygenation * (ends[1] - ends[0])
+            known += chromophores.blood(element.fraction, whole, um_to_mm(element.vessel_radius_um))
+        elif isinstance(element, Pigment):
+            spectrum = element.spectrum.per_mm(grid, setting.note)
+            parts.append({"kind": "pigment", "path": path, "spectrum": _numbers(spectrum)})
+            sliders.append(_slider(f"{path}.fraction", f"{word} fraction", "", 0.0, 0.1, element.fraction))
+            known += element.fraction * spectrum
+        elif isinstance(element, LawAbsorber):
+            # A law's spectrum is what it absorbs, over its fraction, so that it moves as a table's does.
+            unit = interaction(name, element.with_share(1.0), setting).rate
+            parts.append({"kind": "pigment", "path": path, "spectrum": _numbers(unit)})
+            most = min(1.0, max(0.1, 2.0 * element.fraction))
+            sliders.append(_slider(f"{path}.fraction", f"{word} fraction", "", 0.0, most, element.fraction))
+            known += element.fraction * unit
+        elif isinstance(element, Solute):
+            key, now = "concentration_umol_per_l", element.concentration_umol_per_l
+            unit = interaction(name, element.model_copy(update={key: 1.0}), setting).rate
+            parts.append({"kind": "pigment", "path": path, "key": key, "spectrum": _numbers(unit)})
+            sliders.append(_slider(f"{path}.{key}", word, "µmol/L", 0.0, 3.0 * now if now > 0 else 100.0, now))
+            known += now * unit
+        elif isinstance(element, Mixture):
+            spectra = {n: p.spectrum.per_mm(grid, setting.note) for n, p in element.parts.items()}
+            rest = [n for n, p in element.parts.items() if p.share is None]
+            parts.append(
+                {
+                    "kind": "mixture",
+                    "path": path,
+                    "names": list(spectra),
+                    "rest": rest[0] if rest else "",
+                    "spectra": [_numbers(s) for s in spectra.values()],
+                }
+            )
+            sliders.append(_slider(f"{path}.fraction", word, "", 0.3, 0.95, element.fraction))
+            sliders += [
+                _slider(f"{path}.parts.{n}.share", f"{n} share of it", "", 0.0, 0.6, p.share)
+                for n, p in element.parts.items()
+                if p.share is not None
+            ]
+            known += chromophores.mixture(element.fraction, list(element.shares().values()), list(spectra.values()))
+    total = optical_stack(tissue, reading, grid).layers[-1].absorption
+    parts.append({"kind": "rest", "path": "", "spectrum": _numbers(np.maximum(total - known, 0.0))})
+    return parts, sliders
+
+
+def _slider(
+    path: str, label: str, unit: str, low: float, high: float, value: float, *, log: bool = False
+) -> dict[str, Any]:
+    """One slider; its range is widened to hold the value."""
+    low, high = min(low, value if value > 0 or not log else low), max(high, value)
+    return {"path": path, "label": label, "unit": unit, "low": low, "high": high, "value": value, "log": log}
+
+
+def _scattering(tissue: Tissue, at: str) -> list[dict[str, Any]]:
+    """Sliders of scattering: a factor, and for a power law a change of the exponent."""
+    made = [_slider("scattering.factor", "scattering, × as it is", "", *AMPLITUDES, 1.0, log=True)]
+    found = [e for e in tissue.layers[-1].elements.values() if isinstance(e, PowerLawScatterer | PublishedScatterer)]
+    others = [e for e in tissue.layers[-1].elements.values() if isinstance(e, Cell)]
+    if found and not others:
+        made.append(_slider("scattering.exponent", "scattering exponent, + as it is", "", *EXPONENTS, 0.0))
+    return made
+
+
+def _law(tissue: Tissue, whole: Tissue) -> dict[str, Any] | None:
+    """How the scattering sliders are written as values of the tissue: a power law at 500 nm, or cells' fraction.
+
+    A scatterer that stands in for another keeps doing so: in the `whole` tissue, before a reading chose, it says for
+    which.
+    """
+    layer, asked = tissue.layers[-1], whole.layers[-1]
+    for name, element in layer.elements.items():
+        path = f"layers.{layer.name}.elements.{name}"
+        if isinstance(element, PowerLawScatterer) and element.b is not None:
+            at_500 = element.a_per_cm * (500.0 / element.reference_nm) ** -element.b
+            return {"kind": "power", "path": path, "a_per_cm": at_500, "b": element.b, "anisotropy": element.anisotropy,
+                    "replaces": getattr(asked.elements[name], "replaces", "")}  # fmt: skip
+        if isinstance(element, PublishedScatterer) and element.form == "power":
+            a, b = published_power(element)
+            return {"kind": "power", "path": path, "a_per_cm": a, "b": b, "anisotropy": element.anisotropy,
+                    "replaces": getattr(asked.elements[name], "replaces", "")}  # fmt: skip
+        if isinstance(element, Cell):
+            return {"kind": "cell", "path": f"{path}.fraction", "fraction": element.fraction}
+    return None
+
+
+def published_power(element: PublishedScatterer) -> tuple[float, float]:
+    """µs' at 500 nm in 1/cm and exponent of a published power law."""
+    from livlab import datasets
+
+    table = datasets.load(element.dataset)
+    row = list(table.columns["reference"]).index(element.reference)
+    return float(table.column("a_musp500_per_cm")[row]), float(table.column("b")[row])
+
+
+def _extremes(
+    parts: Sequence[Mapping[str, Any]], sliders: Sequence[Mapping[str, Any]], reduced: FloatArray, free: bool
+) -> tuple[FloatArray, FloatArray]:
+    """(W,) least and largest of the number along which the ledger is asked, over all that the sliders can do."""
+    by_path = {s["path"]: s for s in sliders}
+    low, high = np.zeros_like(reduced), np.zeros_like(reduced)
+    for part in parts:
+        path = part["path"]
+        if part["kind"] == "blood":
+            f, r = by_path[f"{path}.fraction"], by_path[f"{path}.vessel_radius_um"]
+            ends = [np.asarray(part[k]) for k in ("deoxy", "oxy")]
+            low += f["low"] * np.min([chromophores.blood(1.0, e, um_to_mm(r["high"])) for e in ends], axis=0)
+            high += f["high"] * np.max([chromophores.blood(1.0, e, um_to_mm(r["low"])) for e in ends], axis=0)
+        elif part["kind"] == "pigment":
+            f, spectrum = by_path[f"{path}.{part.get('key', 'fraction')}"], np.asarray(part["spectrum"])
+            low, high = low + f["low"] * spectrum, high + f["high"] * spectrum
+        elif part["kind"] == "mixture":
+            f, spectra = by_path[f"{path}.fraction"], np.asarray(part["spectra"])
+            low, high = low + f["low"] * spectra.min(axis=0), high + f["high"] * spectra.max(axis=0)
+        else:
+            low, high = low + np.asarray(part["spectrum"]), high + np.asarray(part["spectrum"])
+    if free:
+        wide = 2.0 ** EXPONENTS[1]
+        low, high = low / (reduced * AMPLITUDES[1] * wide), high / (reduced * AMPLITUDES[0] / wide)
+        low = np.maximum(low, LEAST)
+    return np.maximum(low, 1e-6), np.maximum(high, 1e-5)
+
+
+WHITER = 0.3
+"""Share of the tissue's own absorption down to which the walk is made to serve: whiter tissue takes ever longer, and a
+page shows where the answers end."""
+
+LEAST = 1e-3
+"""Least absorption over reduced scattering that a table reaches to."""
+
+
+def _with_absorption(forward: LedgerForward, stack: Any, absorption: FloatArray) -> Any:
+    """The stack with another absorption of its last layer."""
+    from dataclasses import replace
+
+    from livlab.model.tissue.setting import absorber
+
+    last = stack.layers[-1]
+    kept = tuple(i for i in last.interactions if (i.albedo > 0).any())
+    own = np.zeros_like(absorption)
+    for i in kept:
+        own = own + i.rate * (1.0 - i.albedo)
+    given = absorber("bench", np.maximum(absorption - own, 0.0))
+    return replace(stack, layers=(*stack.layers[:-1], replace(last, interactions=(*kept, given))))
+
+
+def _table(forward: LedgerForward, stack: Any, low: FloatArray, high: FloatArray, per: FloatArray) -> dict[str, Any]:
+    """Values, slopes by ln x and errors of the reading at the nodes of each wavelength, and which nodes are valid."""
+    size = len(low)
+    x = np.exp(low + np.linspace(0.0, 1.0, NODES)[:, None] * (high - low))
+    # All nodes of all wavelengths are one question, since a ledger answers many sooner than few.
+    every = stack.at(np.tile(np.arange(size), NODES).tolist())
+    found = forward.answer_stack(_with_absorption(forward, every, (x * per).ravel()))
+    value, error = found.value.reshape(NODES, size), found.standard_error.reshape(NODES, size)
+    valid = found.valid.reshape(NODES, size)
+    slope = found.slopes["absorption"].reshape(NODES, size) * x * per
+    first = [int(np.argmax(v)) if v.any() else -1 for v in valid.T]
+    last = [NODES - 1 - int(np.argmax(v[::-1])) if v.any() else -1 for v in valid.T]
+    return {
+        "low": _numbers(low),
+        "high": _numbers(high),
+        "nodes": NODES,
+        "value": [_numbers(v) for v in value.T],
+        "slope": [_numbers(v) for v in slope.T],
+        "error": [_numbers(v) for v in error.T],
+        "first": first,
+        "last": last,
+    }
+
+
+def _colour(grid: FloatArray) -> list[list[float]] | None:
+    """(3, W) weights to linear sRGB under D65 for the 2° observer; None where the band is too narrow for a colour."""
+    from livlab.errors import RangeError
+    from livlab.model.colour import cie_weights
+
+    try:
+        weights = cie_weights(grid).transpose("channel", "wavelength").to_numpy()
+    except (RangeError, InputError):
+        return None
+    return [_numbers(row) for row in weights]
+
+
+def _numbers(values: FloatArray) -> list[float]:
+    return [float(f"{v:.{DECIMALS}g}") for v in np.asarray(values, dtype=np.float64)]
+
+
+__all__ = ["ENDLESS_MM", "NODES", "bench_data", "bench_grid"]

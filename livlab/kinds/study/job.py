@@ -1,0 +1,271 @@
+"""The study job: points or cases → jobs → curves → outputs → indices, tables and claims."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from livlab.config.errors import nearest
+from livlab.criteria import Claim
+from livlab.errors import InputError, Interrupted
+from livlab.jobs.jobs import Answer, Job, Scheduler, run_jobs
+from livlab.kinds.study import ablation, sensitivity, sweep, tables
+from livlab.kinds.study.config import StudyExperiment
+from livlab.kinds.study.outputs import Number, Outputs
+from livlab.kinds.study.points import Base
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from livlab.runs.work import Run
+    from livlab.units import FloatArray
+
+MOST_BOOTSTRAPPED = 500
+"""Curves whose outputs get an error of their own; a sweep of more has its spread to show."""
+
+
+def prepare(config: StudyExperiment) -> Callable[[Run], None]:
+    """Everything that can go wrong before light is followed: references, bands, points, cases, their number.
+
+    Raises
+    ------
+    InputError
+        A reference shorter than a band, one point alone, more evaluations than `most_jobs`, a claim on no case.
+    DatasetError, RangeError
+        A dataset that is damaged, or does not reach.
+    """
+    from livlab.kinds.execute import dataset_hashes
+
+    grid = config.wavelengths.grid()
+    outputs = Outputs(config.output, config.reference, grid, config.normalise, config.seed)
+    hashes = dataset_hashes(config.datasets())
+    if config.method == "ablation":
+        cases = ablation.cases(config)
+        sweep.check_size(len(cases), config.most_jobs, "cases", "Name fewer options")
+        labels = [c.label for c in cases]
+        for k, c in enumerate(config.criterion):
+            if c.of not in labels:
+                more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
+                hint = nearest(str(c.of), labels) or f"Known: {'; '.join(labels[:6])}{more}."
+                raise InputError.of(f"criterion[{k}].of", c.of, "names no case", hint)
+        return lambda run: _ablation(run, config, cases, outputs, hashes)
+    if config.method == "sensitivity":
+        assert config.sensitivity is not None
+        size = config.sensitivity.jobs(len(config.factor))
+        sweep.check_size(size, config.most_jobs, config.sensitivity.estimator, "Take fewer points or factors")
+        unit = sensitivity.unit_design(config.sensitivity, len(config.factor), config.seed)
+        points = sweep.mapped(config.factor, unit)
+        return lambda run: _sensitivity(run, config, unit, points, outputs, hashes)
+    points = sweep.sweep_points(config)
+    return lambda run: _sweep(run, config, points, outputs, hashes)
+
+
+def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: Scheduler | None = None) -> list[Answer]:
+    """What the jobs answer, kept in the run's folder as each ends; by the run's own scheduler if none is given.
+
+    Raises
+    ------
+    Interrupted
+        The user wanted to stop.
+    EnvironmentProblem
+        The machines cannot do some jobs; all others are kept.
+    """
+    from livlab.jobs.scheduler import open_scheduler
+    from livlab.jobs.store import store_of
+
+    if config.solver.kind != "adding-doubling":
+        run.info["variant"] = config.variant
+        if config.variant == "llvm" and not run.scheduler.startswith("tcp:"):
+            from livlab.machine.llvm import choose_libllvm
+
+            run.info["libllvm"] = choose_libllvm().name
+    run.info["scheduler"] = run.scheduler
+    run.progress.begin([config.method])
+    store = store_of(run)
+    scheduler = scheduler or open_scheduler(run.scheduler, run.progress.say)
+
+    def tell(done: int, total: int) -> None:
+        run.progress.advance(config.method, min(done / max(total, 1), 0.999), f"{done} of {total}")
+
+    try:
+        found = run_jobs(jobs, scheduler, store, tell, run.stopping.is_set)
+    except Interrupted:
+        run.stop_if_asked()
+        raise
+    finally:
+        for text in store.notes:
+            run.note(text)
+    run.progress.advance(config.method, 1.0)
+    return found
+
+
+def _evaluated(
+    run: Run, config: StudyExperiment, points: Sequence[sweep.Point], outputs: Outputs, hashes: Mapping[str, str]
+) -> tuple[list[Answer], list[dict[str, Number]]]:
+    """Curves and outputs of points; failed ones have nan and their reason."""
+    begun = time.perf_counter()
+    jobs = sweep.jobs_of(config, points, hashes)
+    given = answers(run, config, jobs)
+    curves = sweep.curves_of(config, points, given)
+    wall = time.perf_counter() - begun
+    made = _numbers(config, curves, outputs)
+    _tell_failures(run, curves, made, outputs)
+    run.write_table("costs.csv", tables.COSTS, tables.costs(config, given, curves, wall))
+    return curves, made
+
+
+def _numbers(config: StudyExperiment, curves: Sequence[Answer], outputs: Outputs) -> list[dict[str, Number]]:
+    noisy = config.solver.kind in ("walk", "auto") and len(curves) <= MOST_BOOTSTRAPPED
+    made = []
+    for c in curves:
+        if "error" in c:
+            made.append({name: Number(np.nan, np.nan, str(c["error"])) for name in outputs.names})
+        else:
+            made.append(outputs.numbers(np.array(c["value"]), np.array(c["standard_error"]) if noisy else None))
+    return made
+
+
+def _tell_failures(run: Run, curves: Sequence[Answer], made: Sequence[Mapping[str, Number]], outputs: Outputs) -> None:
+    failed = [str(c["error"]) for c in curves if "error" in c]
+    if len(failed) == len(curves):
+        raise InputError.of(
+            "study", f"0 of {len(curves)} evaluations", f"gave a curve; the first failed so: {failed[0]}",
+            "Mend the tissue, or the factors' bounds.",
+        )  # fmt: skip
+    if failed:
+        run.note(f"{len(failed)} of {len(curves)} evaluations gave no curve; the first failed so: {failed[0]}")
+    for name in outputs.names:
+        if name in outputs.missing:
+            run.note(f"{name}: {outputs.missing[name]}")
+            continue
+        reasons = [m[name].reason for m, c in zip(made, curves, strict=True) if "error" not in c]
+        bad = [r for m, r in zip(made, reasons, strict=False) if r and not np.isfinite(m[name].value)]
+        if bad:
+            run.note(f"{name}: {len(bad)} of {len(reasons)} curves have none; the first because {bad[0]}")
+
+
+def _sweep(
+    run: Run, config: StudyExperiment, points: Sequence[sweep.Point], outputs: Outputs, hashes: Mapping[str, str]
+) -> None:
+    begun = time.perf_counter()
+    curves, made = _evaluated(run, config, points, outputs, hashes)
+    run.write_result({"/": tables.result(config, points, curves, made, outputs)})
+    run.write_table("results.csv", *tables.results(config, points, curves, made))
+    claims = []
+    seconds = time.perf_counter() - begun
+    for c in config.criterion:
+        values = _column(made, c.output)
+        values = values[np.isfinite(values)]
+        found = None if not len(values) else float(values.min() if c.statistic == "least" else values.max())
+        claims.append(_claim(c, found, 0.0, outputs.missing.get(c.output, "no point has a value"), seconds))
+    _finish(run, config, outputs, claims)
+
+
+def _sensitivity(
+    run: Run,
+    config: StudyExperiment,
+    unit: FloatArray,
+    points: Sequence[sweep.Point],
+    outputs: Outputs,
+    hashes: Mapping[str, str],
+) -> None:
+    assert config.sensitivity is not None
+    begun = time.perf_counter()
+    curves, made = _evaluated(run, config, points, outputs, hashes)
+    run.write_result({"/": tables.result(config, points, curves, made, outputs)})
+    run.write_table("results.csv", *tables.results(config, points, curves, made))
+    names = [f.name for f in config.factor]
+    grown: dict[str, pd.DataFrame] = {}
+    why: dict[str, str] = dict(outputs.missing)
+    for name in outputs.names:
+        if name in why:
+            continue
+        try:
+            grown[name] = sensitivity.growth(config.sensitivity, unit, _column(made, name), names, config.seed)
+        except InputError as error:
+            why[name] = error.message.replace("output = ", f"{name}: ", 1)
+            run.note(f"Undefined indices: {why[name]}")
+    run.write_table("indices.csv", *tables.indices(grown))
+    run.write_table("settling.csv", *tables.settling(config.sensitivity, grown, why))
+    seconds = time.perf_counter() - begun
+    claims = []
+    for c in config.criterion:
+        found = None
+        if c.output in grown:
+            frame = grown[c.output]
+            if c.statistic == "widest interval":
+                found = sensitivity.settled(config.sensitivity, frame)[0]
+            else:
+                column = c.statistic.replace(" ", "_")
+                last = frame[frame["points"] == frame["points"].max()].set_index("factor")
+                found = float(last[column][c.of]) if column in last else None
+        reason = why.get(c.output, f"{config.sensitivity.estimator} gives no {c.statistic}")
+        claims.append(_claim(c, found, 0.0, reason, seconds))
+    _finish(run, config, outputs, claims)
+
+
+def _ablation(
+    run: Run, config: StudyExperiment, cases: Sequence[ablation.Case], outputs: Outputs, hashes: Mapping[str, str]
+) -> None:
+    begun = time.perf_counter()
+    base = Base(config.tissue.build(), config.reading, config.instrument)
+    own = [c for c in cases if not c.same_as]
+    jobs = [
+        sweep.spectrum_job(
+            config, Base(base.tissue, c.reading, base.instrument), {}, hashes, key=c.label, without=c.without
+        )
+        for c in own
+    ]
+    given = dict(zip([c.label for c in own], answers(run, config, jobs), strict=True))
+    wall = time.perf_counter() - begun
+    curves = [given[c.same_as or c.label] for c in cases]
+    made = _numbers(config, curves, outputs)
+    _tell_failures(run, curves, made, outputs)
+    for text in tables.shared_notes(own, given):
+        run.note(text)
+    run.write_table("costs.csv", tables.COSTS, tables.costs(config, list(given.values()), list(given.values()), wall))
+    points: list[sweep.Point] = [{} for _ in cases]
+    labels = [c.label for c in cases]
+    run.write_result({"/": tables.result(config, points, curves, made, outputs, labels)})
+    table = tables.ablation(config, cases, curves, made)
+    run.write_table("ablation.csv", *table)
+    assert config.ablation is not None
+    if config.ablation.target:
+        run.write_table("targets.csv", *tables.targets(config.ablation.target))
+    run.write_table("results.csv", *tables.results(config, points, curves, made, labels))
+    claims = []
+    for c in config.criterion:
+        number = made[labels.index(str(c.of))][c.output]
+        seconds = float(curves[labels.index(str(c.of))]["seconds"])
+        claims.append(_claim(c, number.value, number.standard_error, number.reason, seconds))
+    _finish(run, config, outputs, claims)
+
+
+def _column(made: Sequence[Mapping[str, Number]], name: str) -> FloatArray:
+    return np.array([m[name].value for m in made], dtype=np.float64)
+
+
+def _claim(c: Any, value: float | None, error: float, reason: str, seconds: float) -> Claim:
+    if value is None or not np.isfinite(value) or not np.isfinite(error):
+        why = reason or "its error cannot be had"
+        return Claim.missing(c.name, why, reference=c.reference, tolerance=c.tolerance, seconds=seconds)
+    return Claim.of(c.name, value, error, c.reference, c.tolerance, seconds=seconds)
+
+
+def _finish(run: Run, config: StudyExperiment, outputs: Outputs, claims: Sequence[Claim]) -> None:
+    from livlab.kinds.spectral import tables as spectral_tables
+
+    tissue, reading = config.tissue.build(), (config.reading,)
+    run.write_table("factors.csv", *tables.factors(config))
+    run.write_table("tissue.csv", *spectral_tables.tissue(tissue, reading))
+    run.write_table(
+        "provenance.csv", *spectral_tables.provenance(tissue, reading, config.wavelengths.grid(), outputs.known)
+    )
+    run.write_claims(claims)
+    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+
+
+__all__ = ["answers", "prepare"]

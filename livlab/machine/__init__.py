@@ -1,0 +1,1 @@
+"""What this machine is and has: libLLVM, GPU, versions, processor."""

@@ -1,0 +1,1 @@
+"""Scattering by single particles: spheres (Mie), cylinders, small particles (Rayleigh), spheroids."""

@@ -1,0 +1,1 @@
+"""Phase functions: closed forms, tables, and what the solvers ask of them."""

@@ -1,0 +1,1 @@
+"""Appearance models to compare with: Lambert, Blinn–Phong, the dipole, Ashikhmin–Shirley."""

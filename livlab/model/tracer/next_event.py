@@ -1,0 +1,360 @@
+"""Light from a lamp to a place inside a body: through the surface, bent there, and through its layers.
+
+A place inside sees a lamp refracted. Where the surface is taken for flat the point y at which its light enters follows
+from Snell's law; deeper, a few steps find it. The light of a lamp arrives focused or spread by the surface: the ratio
+of solid angles follows from the wave front's curvature before and after it (Coddington; Stavroudis 1972, chapter X):
+n₂ P₂ = n₁ P₁ + (n₂ cos θ₂ − n₁ cos θ₁) S, P being the front's and S the surface's curvature on the tangent plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from livlab.model.tracer.mis import Shares
+from livlab.model.tracer.state import Aim, State
+from livlab.model.tracer.surface import Hit
+from livlab.model.transport import rng as random
+
+if TYPE_CHECKING:
+    from livlab.model.tracer.kernel import Kernel
+
+LIFT = 2e-5
+"""Start of a shadow ray above the surface, as part of the body's size."""
+
+BOOST = 2.0
+"""A lamp is asked for with this chance, times what of its light would come through."""
+
+FLOOR = 0.05
+"""Least share of an even phase function that a chance counts with: its angle is a guess."""
+
+FARTHEST = 0.1
+"""Longest last leg inside on which lamps of some extent are asked for, as part of the body's size. In a ball of index
+1.4 light that grazes the surface has its first focus at 0.35 of the diameter."""
+
+STEEP = 0.02
+"""Least cosine with a facet that a last leg by the surface is reckoned with."""
+
+CAUSTIC = 0.02
+"""Least part of the spread that a flat surface gives: below it light is focused more than is believed."""
+
+
+@dataclass
+class Asked:
+    """Light from a lamp: in which lanes, how much at each wavelength, and what weighs it.
+
+    Attributes
+    ----------
+    extra, met
+        Logarithms of the density to scatter towards the lamp, and of that to meet there, a value a wavelength.
+    lengths
+        Path of the light in each layer.
+    """
+
+    active: Any
+    strength: list[Any]
+    lengths: list[Any]
+    extra: list[Any]
+    met: list[Any]
+
+
+@dataclass
+class Way:
+    """From a place inside to a lamp: where it enters, the direction inside, cosines and distances."""
+
+    y: Any
+    inside: Any
+    normal: Any
+    lamp: Any
+    good: Any
+    path: Any
+    legs: list[Any]
+    cosines: list[Any]
+    hit: Hit
+
+
+class Peel:
+    """Asks for lamps from inside a body."""
+
+    def __init__(self, kernel: Kernel, size: float) -> None:
+        self.k = kernel
+        self.dr, self.mi = kernel.dr, kernel.mi
+        lights, m = kernel.lights, kernel.medium
+        assert m is not None and kernel.flights is not None
+        self.m, self.lights, self.flights = m, lights, kernel.flights
+        one = partial(self.dr.opaque, self.mi.Float)
+        self.lift = one(LIFT * size)
+        # A flat patch's surface is off by as much as the field is.
+        self.lift_flat = one(LIFT * size + (self.flights.field.slack if self.flights.field else 0.0))
+        self.shallow = (
+            self.dr.maximum(self.flights.patch, one(0.002 * size)) if self.flights.layered else one(2e-3 * size)
+        )
+        self.least = [one(float(x)) for x in m.m.extinction.min(axis=1)]
+        mi = self.mi
+        # From farther inside than this a surface may focus light: what comes from there to lamps is left to chance.
+        self.farthest = one(FARTHEST * size)
+        self.distant = [bool(mi.has_flag(e.flags(), mi.EmitterFlags.Infinite)) for e in lights.lamps]
+        self.regions = len(m.m.regions)
+        self.shares = Shares(kernel)
+
+    def bend(self, lamp: Any, normal: Any, eta: Any) -> tuple[Any, Any, Any]:
+        """Direction inside of light from the lamp's direction, and both cosines."""
+        dr = self.dr
+        outside = dr.dot(lamp, normal)
+        along = lamp - normal * outside
+        inside = dr.safe_sqrt(1.0 - eta * eta * (1.0 - outside * outside))
+        return dr.normalize(along * eta + normal * inside), outside, inside
+
+    def ratio(self, s: State, region: Any, active: Any) -> Any:
+        """Index outside over that of a region."""
+        dr, mi, width = self.dr, self.mi, self.k.width
+        outer = dr.gather(mi.Float, self.m.index, s.hero, active)
+        return outer * dr.rcp(dr.gather(mi.Float, self.m.index, (region + 1) * width + s.hero, active))
+
+    def take_aim(self, s: State, enters: Any) -> State:
+        """Choose the lamp and the place on it that the meetings ask for, as a path enters the body.
+
+        Were it chosen again after a lamp was asked for, the places that are asked for less would be met more often.
+        """
+        dr, mi, lights, d = self.dr, self.mi, self.lights, self.k.d
+        count = len(lights.lamps)
+        chosen = dr.zeros(mi.UInt32, dr.width(s.row))
+        if count > 1:
+            u = random.uniform(d, s.stream.next_uint32())
+            chosen = dr.minimum(mi.UInt32(u * count), count - 1)
+        sample = mi.Point2f(random.uniform(d, s.stream.next_uint32()), random.uniform(d, s.stream.next_uint32()))
+        it = dr.zeros(mi.Interaction3f)
+        it.p = s.p
+        spot, distant = mi.Point3f(0.0), mi.Bool(False)
+        for k, lamp in enumerate(lights.lamps):
+            here = enters & (chosen == k)
+            ds, _ = lamp.sample_direction(it, sample, here)
+            spot = dr.select(here, mi.Point3f(ds.d) if self.distant[k] else ds.p, spot)
+            distant = dr.select(here, mi.Bool(self.distant[k]), distant)
+        choose = partial(dr.select, enters)
+        s.aim = Aim(
+            choose(chosen, s.aim.lamp),
+            choose(sample, s.aim.sample),
+            choose(spot, s.aim.spot),
+            choose(distant, s.aim.distant),
+        )
+        return s
+
+    def toward(self, aim: Aim, y: Any) -> Any:
+        """Direction from a place to where the path aims."""
+        return self.dr.select(aim.distant, self.mi.Vector3f(aim.spot), self.dr.normalize(aim.spot - y))
+
+    def chance(self, s: State, density: Callable[[Any], Any]) -> Any:
+        """Chance that a meeting asks for its lamp: what a flat surface would let through of what is scattered there."""
+        dr, mi = self.dr, self.mi
+        eta = self.ratio(s, s.medium - 1, True)
+        inside, _, cosine = self.bend(self.toward(s.aim, s.p), -s.place.inward, eta)
+        w = 0.5 * dr.squared_norm(s.d - inside)
+        # Never more than the surface's own nearness allows, nor by far: what is asked for too seldom weighs too much.
+        depth, place = mi.Float(0.0), s.place
+        if self.flights.layered:
+            depth = dr.maximum(dr.select(place.depth < self.shallow, place.depth, place.clear), 0.0)
+        tau = self.m.pick(s.meeting.layer, self.least) * depth * dr.rcp(dr.maximum(cosine, 0.7))
+        return dr.minimum(BOOST * dr.maximum(12.566 * density(w), FLOOR) * dr.exp(-tau), 1.0)
+
+    def strength(self, s: State, y: Any, active: Any) -> list[Any]:
+        """Irradiance of the lamp in a place near y if it is distant, else its intensity, a value a wavelength."""
+        dr, mi, lights = self.dr, self.mi, self.lights
+        count = float(len(lights.lamps))
+        it = dr.zeros(mi.Interaction3f)
+        it.p = y
+        strength = [mi.Float(0.0) for _ in range(self.k.width)]
+        for k, lamp in enumerate(lights.lamps):
+            here = active & (s.aim.lamp == k)
+            found, ds = lights.arriving(lamp, it, s.aim.sample, here)
+            scale = mi.Float(count) if self.distant[k] else count * dr.square(ds.dist)
+            strength = [dr.select(here, x * scale, z) for x, z in zip(found, strength, strict=True)]
+        return strength
+
+    def ask(self, s: State, asks: Any) -> Asked:
+        """Ask a lamp for its light at a meeting."""
+        dr, mi, m, now, lights = self.dr, self.mi, self.m, s.meeting, self.lights
+        region = s.medium - 1
+        normal, depth, near = self.above(s, asks)
+        eta = self.ratio(s, region, asks)
+        way = self.way(s, normal, depth, near, eta, asks)
+        c2 = dr.dot(way.lamp, way.normal)
+        # Lamps without extent are never met by chance.
+        extended = self.m.pick(s.aim.lamp, [mi.Bool(x in lights.surfaces) for x in lights.lamps])
+        good = asks & way.good & (c2 > 0.0) & ((way.path < self.farthest) | ~extended)
+        c2 = dr.maximum(c2, 1e-4)
+        distant = s.aim.distant
+        far = dr.select(distant, 0.0, dr.norm(s.aim.spot - way.y))
+        factor = self.spread(way, c2, distant, far, dr.rcp(eta), near, good)
+        lift = dr.select(way.hit.body & ~way.hit.outward, self.lift, self.lift_flat)
+        ray = mi.Ray3f(way.y + way.normal * lift, way.lamp)
+        ray.maxt = dr.select(distant, 1e30, (far - lift) * (1.0 - 1e-4))
+        good &= ~self.k.scene.ray_test(ray, good)
+        for r in range(self.regions):
+            if m.m.refracts[r]:
+                passes = good & (region >= r)
+                row = m.fresnel_row(mi.UInt32(r), mi.Bool(True), dr.minimum(way.cosines[r], 1.0))
+                reflected = dr.gather(mi.Float, m.reflectance, row * m.m.padded + s.hero, passes)
+                factor = dr.select(passes, factor * (1.0 - reflected), factor)
+        factor = dr.select(good, factor * dr.rcp(dr.maximum(now.chance, 1e-6)), 0.0)
+        if m.focused:
+            factor = factor * m.pick(now.layer, m.focus)
+        w = 0.5 * dr.squared_norm(s.d - way.inside)
+        if self.shares.needed:
+            factor = factor * self.shares.asked(s, w, good)
+        strength = [x * factor for x in self.strength(s, way.y, good)]
+        scattered = m.packet(m.log_scattered, now.layer, m.m.padded)
+        closed = m.log_phase(now.code, now.g, w)
+        extra = [x + closed for x in scattered]
+        if m.tabled:
+            at = mi.UInt32(dr.maximum(now.base, 0.0)) + mi.UInt32(m.cell(w))
+            rows = m.packet(m.rows, at, m.m.padded)
+            extra = [dr.select(now.base >= 0.0, y, x) for x, y in zip(extra, rows, strict=True)]
+        met = m.packet(m.log_met, now.layer, m.m.padded)
+        return Asked(
+            good,
+            strength,
+            [dr.select(good, x, 0.0) for x in way.legs],
+            [dr.select(good, x, 0.0) for x in extra[: self.k.width]],
+            [dr.select(good, x, 0.0) for x in met],
+        )
+
+    def above(self, s: State, asks: Any) -> tuple[Any, Any, Any]:
+        """Outward normal at the nearest point of the surface, depth below it, and whether it counts as flat there."""
+        dr, mi, place = self.dr, self.mi, s.place
+        field = self.flights.field
+        if field is None:
+            return -place.inward, mi.Float(0.0), mi.Bool(False)
+        if not self.flights.layered:
+            depth, inward = field.look(s.p, asks)
+            return -inward, dr.maximum(depth, 0.0), depth < self.shallow
+        near = place.depth < self.shallow
+        depth, inward = field.look(s.p, asks & ~near)
+        normal = -dr.select(near, place.inward, inward)
+        return normal, dr.maximum(dr.select(near, place.depth, depth), 0.0), near
+
+    def way(self, s: State, normal: Any, depth: Any, near: Any, eta: Any, goes: Any) -> Way:
+        """Find where a lamp's light enters to come to a place inside."""
+        dr, mi, m, aim = self.dr, self.mi, self.m, s.aim
+        if self.k.interfaces > 1:
+            return self.through(s, normal, goes)
+        field = self.flights.field
+        deep, y = goes & ~near, s.p
+        lamp = self.toward(aim, s.p + normal * depth)
+        inside, out, cosine = self.bend(lamp, normal, eta)
+        blind = deep
+        if field is not None:
+            y = s.p + inside * (depth * dr.rcp(dr.maximum(cosine, 1e-3)))
+            _, inward = field.look(y, deep)
+            normal = dr.select(near, normal, -inward)
+            blind = deep & (out <= 0.0)
+        # Where the nearest surface looks away from the lamp, the straight line to it is what is known.
+        hit = self.k.surface.meet(mi.Ray3f(s.p, dr.select(out > 0.0, inside, lamp)), blind)
+        y, normal = dr.select(hit.body, hit.p, y), dr.select(hit.body, hit.normal, normal)
+        lamp = self.toward(aim, y)
+        inside, out, cosine = self.bend(lamp, normal, eta)
+        hit = self.k.surface.meet(mi.Ray3f(s.p, inside), goes)
+        found = hit.body & ~hit.outward
+        # Rounding may have left a place by the surface outside: there the depth is what is known.
+        onto = deep | found
+        y = dr.select(onto, hit.p, s.p + inside * (depth * dr.rcp(dr.maximum(cosine, 1e-3))))
+        normal = dr.select(onto, hit.normal, normal)
+        lamp = self.toward(aim, y)
+        inside, out, cosine = self.bend(lamp, normal, eta)
+        flat = depth * dr.rcp(dr.maximum(cosine, 1e-3))
+        # By the surface itself: the depth is off by some µm, δ, and where free paths are no longer its e^(µt δ) counts.
+        steep = dr.maximum(dr.dot(inside, hit.facet), STEEP)
+        leg = dr.select(near, dr.maximum(dr.dot(hit.p - s.p, hit.facet), 0.0) * dr.rcp(steep), hit.t)
+        path = dr.select(onto, leg, flat)
+        good = ~deep | found
+        sine = 1.0 - dr.square(dr.dot(lamp, normal))
+        cosines = []
+        for r in range(self.regions):
+            ratio = self.ratio(s, mi.UInt32(r), goes)
+            cosines.append(dr.safe_sqrt(1.0 - ratio * ratio * sine))
+        legs = []
+        if self.flights.layered:
+            owner = [next(r for r, (a, b) in enumerate(m.m.regions) if a <= k <= b) for k in range(m.m.layers)]
+            rest = path
+            for k in range(m.m.layers):
+                top = m.top[k] if k else mi.Float(0.0)
+                high = dr.maximum(dr.minimum(depth, m.top[k + 1]) - top, 0.0)
+                legs.append(high * dr.rcp(dr.maximum(cosines[owner[k]], 1e-3)))
+                rest = rest - legs[k]
+            # What the depth is off by belongs to the meeting's layer deep inside, to the uppermost by the surface.
+            rest = dr.select(near, path - flat, rest)
+            own = [(deep & (s.meeting.layer == k)) | (near & mi.Bool(k == 0)) for k in range(m.m.layers)]
+            legs = [dr.maximum(x + dr.select(o, rest, 0.0), 0.0) for x, o in zip(legs, own, strict=True)]
+        else:
+            legs = [path]
+        return Way(y, inside, normal, lamp, good & (out > 0.0), path, legs, cosines, hit)
+
+    def through(self, s: State, normal: Any, goes: Any) -> Way:
+        """The same through nested surfaces, each met in its turn."""
+        dr, mi = self.dr, self.mi
+        lamp = self.toward(s.aim, s.p)
+        for last_try in (False, True):
+            legs: list[Any] = []
+            cosines: list[Any] = []
+            y, path = s.p, mi.Float(0.0)
+            good = goes & True  # a mask of its own: `&=` changes in place
+            first, found = mi.Vector3f(0.0), normal
+            for r in reversed(range(self.regions)):
+                ratio = self.ratio(s, mi.UInt32(r), goes)
+                inside, out, cosine = self.bend(lamp, normal, ratio)
+                if not last_try:
+                    # Where the surface last crossed looks away from the lamp, the line to it is what is known.
+                    inside = dr.select(out > 0.0, inside, lamp)
+                here = good & (s.medium - 1 >= r)
+                if last_try:
+                    here &= out > 0.0
+                # Past the interface that the last leg ended at: rounding may have left it ahead.
+                past = dr.select(s.medium - 1 > r, self.lift, 0.0)
+                hit = self.k.surface.meet(mi.Ray3f(dr.fma(past, inside, y), inside), here)
+                good &= ~here | (hit.body & ~hit.outward & (hit.interface == r))
+                if last_try:
+                    good &= out > 0.0
+                first = dr.select(s.medium - 1 == r, inside, first)
+                y = dr.select(here, hit.p, y)
+                legs.insert(0, dr.select(here, hit.t + past, 0.0))
+                cosines.insert(0, cosine)
+                path = path + legs[0]
+                last, found = hit, dr.select(here, hit.normal, found)
+            normal = dr.select(good, found, normal)
+            lamp = self.toward(s.aim, y)
+        return Way(y, first, normal, lamp, good, path, legs, cosines, last)
+
+    def spread(self, way: Way, c2: Any, distant: Any, far: Any, eta: Any, near: Any, active: Any) -> Any:
+        """Solid angle inside for one of the lamp's: of direction if it is distant, of area at it if not."""
+        dr, mi = self.dr, self.mi
+        n, lamp = way.normal, way.lamp
+        du, dv, turn_u, turn_v = self.k.surface.curvature(way.hit, active & ~near)
+        c1 = dr.safe_sqrt(1.0 - (1.0 - c2 * c2) * dr.square(dr.rcp(eta)))
+        along = lamp - n * c2
+        length = dr.squared_norm(along)
+        other, _ = mi.coordinate_system(n)
+        t = dr.select(length > 1e-8, along * dr.rsqrt(dr.maximum(length, 1e-12)), other)
+        b = dr.cross(n, t)
+        uu, uv, vv = dr.squared_norm(du), dr.dot(du, dv), dr.squared_norm(dv)
+        determinant = uu * vv - uv * uv
+        flat = near | (determinant <= 0.0)
+        inverse = dr.rcp(dr.select(flat, 1.0, determinant))
+
+        def turned(v: Any) -> Any:
+            p, q = dr.dot(v, du), dr.dot(v, dv)
+            return (turn_u * (vv * p - uv * q) + turn_v * (uu * q - uv * p)) * inverse
+
+        dt, db = turned(t), turned(b)
+        gain = dr.select(flat, 0.0, way.path * (c2 - eta * c1))
+        tt = dr.fma(gain, dr.dot(t, dt), eta * c1 * c1)
+        bb = dr.fma(gain, dr.dot(b, db), eta)
+        tb = gain * 0.5 * (dr.dot(t, db) + dr.dot(b, dt))
+        least = CAUSTIC * dr.square(eta * c1)
+        by_angle = c1 * c2 * dr.rcp(dr.maximum(dr.abs(tt * bb - tb * tb), least))
+        ntt, nbb = way.path + far * tt * dr.rcp(c2 * c2), way.path + far * bb
+        ntb = far * tb * dr.rcp(c2)
+        least = CAUSTIC * dr.square(way.path + far * eta)
+        by_area = c1 * dr.rcp(c2 * dr.maximum(dr.abs(ntt * nbb - ntb * ntb), dr.maximum(least, 1e-20)))
+        return dr.select(distant, by_angle, by_area)

@@ -1,0 +1,1 @@
+"""Recorded walks that answer for other absorption and scattering without walking again."""

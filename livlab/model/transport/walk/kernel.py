@@ -1,0 +1,383 @@
+"""The walk itself: one symbolic loop, many lanes, each walking its share of photons one after the other.
+
+A lane starts its next photon in the step in which the last one ended, so that no lane of a vector waits for
+the longest walk in it. Coefficients of every layer at the lane's wavelength stay in registers and are
+chosen by comparison with the layer's number; only the winner of several elements is looked up in memory.
+The code depends on `Shape` and on which records are asked for; every number is data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial, reduce
+from typing import Any
+
+import numpy as np
+
+from livlab.model.transport import rng as random
+from livlab.model.transport.fresnel import fresnel, refracted_cosine
+from livlab.model.transport.walk import events
+from livlab.model.transport.walk.columns import Columns, Settings
+from livlab.model.transport.walk.observers import End, Observer, Step
+from livlab.model.transport.walk.tables import ISOTROPIC
+
+NEGLIGIBLE = 1e-9
+"""A weight that redirect factors brought below this is given up and counted as residual."""
+
+LUMP = 2.0**-12
+"""Where less than this share is lost at a meeting, this share is lost, more rarely: a single-precision weight
+takes a loss of 1e-9 for none."""
+
+_TINY = 1e-20
+_FAR = 1e30  # a clear endless layer is crossed, not lost in NaN
+
+
+@dataclass
+class Way:
+    """What was met: chances of survival and absorption, shortest free path, phase function and redirect factor."""
+
+    survive: Any
+    loss: Any
+    below: Any
+    kind: Any
+    g: Any
+    offset: Any
+    focus: Any
+    redirect: Any
+
+
+@dataclass
+class Photon:
+    """State of the photon that a lane walks; () stands for what is not followed.
+
+    Attributes
+    ----------
+    layer, z
+        Layer, and depth in mm below its own top: a thin layer keeps its digits on a thick one.
+    mu, across
+        Cosine of the direction with the normal (down is positive), and the other two components.
+    place
+        (x, y) in mm.
+    weight
+        Part of the photon that is left, negative after a factor cos θ < 0.
+    steps
+        Taken so far.
+    """
+
+    layer: Any
+    z: Any
+    mu: Any
+    across: Any
+    place: Any
+    weight: Any
+    steps: Any
+
+
+class _Walk:
+    """Traces one step of the walk for a given shape."""
+
+    def __init__(self, columns: Columns, settings: Settings, observers: Sequence[Observer]) -> None:
+        self.c, self.s, self.observers = columns, settings, observers
+        self.d, self.dr, self.shape = columns.d, columns.d.dr, columns.t.shape
+        self.analog = self.shape.estimator == "analog"
+        self.redirects = self.shape.redirects != (0,)
+        self.random_entry = settings.source.kind == "diffuse"
+        one = columns.one
+        self.capture = one(settings.capture_weight)
+        self.max_steps = one(settings.max_steps, self.d.UInt32)
+        self.half_width = None if settings.half_width_mm is None else one(settings.half_width_mm)
+        n0, n1 = columns.t.index[0], columns.t.index[1]
+        cosine = float(np.cos(settings.source.angle_rad))
+        inside = refracted_cosine(n0, n1, np.full_like(n0, cosine))
+        self.entry_mu = columns.each(inside)
+        self.entry_ux = columns.each(n0 / n1 * np.sin(settings.source.angle_rad) * (inside > 0))
+        self.entry_weight = columns.each(1.0 - fresnel(n0, n1, np.full_like(n0, cosine)))
+        self.entry_eta = columns.each(n0 / n1)
+        self.entry_contrast = columns.each((1.0 - n0 / n1) * (1.0 + n0 / n1))
+        self.beam = one(max(settings.source.reach_mm, 0.0))
+
+    def enter(self, stream: Any) -> Photon:
+        """A new photon in every lane, just below the surface."""
+        d, dr, source = self.d, self.dr, self.s.source
+        zero = dr.zeros(d.Float, self.c.lanes)
+        if source.kind == "diffuse":
+            cosine = dr.sqrt(1.0 - random.uniform(d, stream.next_uint32()))
+            r, mu = events.fresnel(d, self.entry_eta, self.entry_contrast, cosine)
+            weight = 1.0 - r
+            across: Any = ()
+            if self.s.space:
+                c, s = events.turn(d, random.uniform(d, stream.next_uint32()))
+                sine = dr.sqrt(dr.maximum(1.0 - mu * mu, 0.0))
+                across = (sine * c, sine * s)
+        else:
+            mu, weight = self.entry_mu + zero, self.entry_weight + zero
+            across = (self.entry_ux + zero, dr.zeros(d.Float, self.c.lanes)) if self.s.space else ()
+        place: Any = (dr.zeros(d.Float, self.c.lanes), dr.zeros(d.Float, self.c.lanes)) if self.s.space else ()
+        if source.extended and self.s.space:
+            u, v = random.uniform(d, stream.next_uint32()), random.uniform(d, stream.next_uint32())
+            if source.square_half_width_mm:
+                place = (self.beam * (2.0 * u - 1.0), self.beam * (2.0 * v - 1.0))
+            else:
+                c, s = events.turn(d, v)
+                r = self.beam * dr.sqrt(u)
+                place = (r * c, r * s)
+        layer, steps = dr.zeros(d.UInt32, self.c.lanes), dr.zeros(d.UInt32, self.c.lanes)
+        return Photon(layer, dr.zeros(d.Float, self.c.lanes), mu, across, place, weight, steps)
+
+    def body(self, stream: Any, left: Any, p: Photon, entered: Any, states: Any) -> Any:
+        """One step of every lane: to the next meeting or the next interface, whichever is nearer."""
+        d, dr, c = self.d, self.dr, self.c
+        inside = self._layers(p.layer)
+        depth = self._pick(inside, c.thickness)
+        free, winner = self._free_path(stream, inside)
+        up = p.mu < 0.0
+        rest = dr.maximum(dr.select(up, p.z, depth - p.z), 0.0)
+        reach = rest * dr.rcp(dr.maximum(dr.abs(p.mu), _TINY))
+        met = free < reach
+        path = dr.minimum(dr.minimum(free, reach), _FAR)
+        polar_bits, azimuth_bits = stream.next_uint32(), stream.next_uint32()
+        u = random.uniform(d, polar_bits)
+
+        place, side = p.place, None
+        if place != ():
+            place = (dr.fma(p.across[0], path, place[0]), dr.fma(p.across[1], path, place[1]))
+        if self.half_width is not None:
+            # The sample is convex: a step that starts inside has left it just if it ends outside.
+            side = dr.maximum(dr.abs(place[0]), dr.abs(place[1])) > self.half_width
+            met &= ~side
+            path = dr.select(side, dr.minimum(path, self._to_side(p)), path)
+
+        way = self._way(stream, inside, winner, free)
+        mu_turned, across_turned, azimuth, sign = self._turned(p, way, u, azimuth_bits)
+        weight, absorbed, loss = self._survival(stream, p.weight, way, free, azimuth, sign)
+
+        cross, mu_behind, cosine, eta = self._interface(p, inside, up, u)
+        at_edge = ~met if side is None else ~met & ~side
+        cross = cross & at_edge
+        out_up = cross & up & inside[0]
+        out_down = cross & ~up & inside[-1]
+
+        weight = dr.select(met, weight, p.weight)
+        dead = met & (weight == 0.0)
+        ended = out_up | out_down | dead if side is None else out_up | out_down | dead | side
+        unfinished = (p.steps >= self.max_steps) & ~ended
+        stopped = unfinished
+        if self.redirects:
+            stopped = stopped | (met & ~ended & (dr.abs(weight) < NEGLIGIBLE))
+        done = ended | stopped
+
+        step = Step(
+            inside, path, met, dr.select(met, absorbed, 0.0), dr.select(met, loss, 0.0) if self.redirects else None
+        )
+        none = d.Bool(False)
+        radius = dr.sqrt(place[0] * place[0] + place[1] * place[1]) if place != () else None
+        entered_now = entered if self.random_entry else None
+        bend = 1.0 if eta is None else dr.select(cross, eta, 1.0)
+        across = tuple(old * bend for old in p.across)
+        end = End(
+            done,
+            out_up,
+            out_down,
+            none if side is None else side,
+            stopped,
+            unfinished,
+            weight,
+            entered_now,
+            cosine,
+            radius,
+            c.wavelength,
+            across,
+        )
+        states = tuple(o.end(d, o.step(d, s, step), end) for o, s in zip(self.observers, states, strict=True))
+
+        # Where the photon stands now; an interface leaves it at the top or the bottom of a layer.
+        below_top = dr.select(cross, dr.select(up, self._pick(inside, c.above), 0.0), dr.select(up, 0.0, depth))
+        z = dr.select(met, dr.fma(p.mu, free, p.z), below_top)
+        layer = dr.select(cross, dr.select(up, p.layer - 1, p.layer + 1), p.layer)
+        mu = dr.select(met, mu_turned, dr.select(cross, mu_behind, -p.mu))
+        if across != ():
+            across = tuple(dr.select(met, new, old) for new, old in zip(across_turned, across, strict=True))
+
+        fresh = self.enter(stream)
+        choose = partial(dr.select, done)
+        photon = Photon(
+            choose(0, layer),
+            choose(0.0, z),
+            choose(fresh.mu, mu),
+            tuple(choose(a, b) for a, b in zip(fresh.across, across, strict=True)),
+            tuple(choose(a, b) for a, b in zip(fresh.place, place, strict=True)),
+            choose(fresh.weight, weight),
+            choose(0, p.steps + 1),
+        )
+        if self.random_entry:
+            entered = choose(fresh.weight, entered)
+        return stream, left - dr.select(done, d.UInt32(1), d.UInt32(0)), photon, entered, states
+
+    def _to_side(self, p: Photon) -> Any:
+        """Distance to the nearer side along the photon's direction."""
+        dr, half = self.dr, self.half_width
+        away = [
+            dr.fma(-dr.sign(u), x, half) * dr.rcp(dr.maximum(dr.abs(u), _TINY))
+            for x, u in zip(p.place, p.across, strict=True)
+        ]
+        return dr.minimum(away[0], away[1])
+
+    def _layers(self, layer: Any) -> tuple[Any, ...]:
+        if self.shape.layers == 1:
+            return (self.d.Bool(True),)
+        return tuple(layer == k for k in range(self.shape.layers))
+
+    def _pick(self, inside: Sequence[Any], values: Sequence[Any]) -> Any:
+        return reduce(lambda found, k: self.dr.select(inside[k], values[k], found), range(1, len(values)), values[0])
+
+    def _free_path(self, stream: Any, inside: Sequence[Any]) -> tuple[Any, Any]:
+        """Distance to the next meeting in mm, and in the analog walk whose draw won."""
+        d, dr = self.d, self.dr
+        best = random.exponential(d, stream.next_uint32()) * self._pick(inside, [x[0] for x in self.c.mfp])
+        winner = d.UInt32(0)
+        if self.analog:
+            for e in range(1, self.shape.ways):
+                mfp = self._pick(inside, [x[e] for x in self.c.mfp])
+                drawn = random.exponential(d, stream.next_uint32()) * mfp
+                nearer = drawn < best
+                best, winner = dr.select(nearer, drawn, best), dr.select(nearer, d.UInt32(e), winner)
+        return best, winner
+
+    def _way(self, stream: Any, inside: Sequence[Any], winner: Any, free: Any) -> Way:
+        """The element met, or the way of scattering chosen by its share of what survives."""
+        d, dr, c, count = self.d, self.dr, self.c, self.shape.ways
+
+        def chosen(columns: Sequence[Sequence[Any]]) -> Any:
+            value = self._pick(inside, columns[0])
+            for k in range(1, count):
+                value = dr.select(winner == k, self._pick(inside, columns[k]), value)
+            return value
+
+        survive, loss = None, None if self.analog else self._pick(inside, c.loss[0])
+        if not self.analog and count > 1:
+            shares = [self._pick(inside, x) for x in c.survive]
+            if self.shape.short:
+                for k, x in enumerate(c.below):
+                    long = free >= self._pick(inside, x)
+                    loss = loss + dr.select(long, 0.0, shares[k])
+                    shares[k] = dr.select(long, shares[k], 0.0)
+            survive = sum(shares[1:], shares[0])
+            left = random.uniform(d, stream.next_uint32()) * survive
+            winner, passed = d.UInt32(0), shares[0]
+            for k in range(1, count):
+                winner = dr.select(left >= passed, d.UInt32(k), winner)
+                passed = passed + shares[k]
+        survive = chosen(c.survive) if survive is None else survive
+        loss = chosen(c.loss) if loss is None else loss
+        columns = (c.below, c.kind, c.g, c.offset, c.focus, c.redirect)
+        return Way(survive, loss, *(chosen(x) for x in columns))
+
+    def _turned(self, p: Photon, way: Way, u: Any, bits: Any) -> tuple[Any, Any, Any, Any]:
+        """New direction, the cosine of its azimuth in the sample's frame, and the sign a drawn factor carries."""
+        d, dr, t = self.d, self.dr, self.c.t
+        isotropic = self.shape.kinds == (ISOTROPIC,)
+        w = events.polar(d, t, self.c.table, way.kind, way.g, way.offset, u)
+        phi = random.uniform(d, bits)
+        focused = self.redirects and not self.analog and not self.shape.steered
+        if not self.s.space:
+            # Only the analog walk weighs by an azimuth here; the other has its mean.
+            azimuth = events.cosine_of_turn(d, phi) if not isotropic or (self.redirects and self.analog) else None
+            mu = 1.0 - w if isotropic else events.tilt(d, p.mu, w, azimuth)
+            return mu, (), azimuth, None
+        cosine, sine = events.turn(d, phi)
+        sign = None
+        if focused:
+            # Density ∝ |cos θ|: sin θ is uniform. The lowest bit is not part of the 24 used above.
+            across = 2.0 * phi - 1.0
+            along = dr.sqrt(dr.maximum((1.0 - across) * (1.0 + across), 0.0))
+            back = (bits & 1) == 0
+            if 3 in self.shape.redirects:
+                back &= way.redirect != 3
+            drawn = dr.select(back, -along, along)
+            plain = way.redirect == 0
+            cosine, sine = dr.select(plain, cosine, drawn), dr.select(plain, sine, across)
+            if 2 in self.shape.redirects:
+                sign = dr.select((way.redirect == 2) & back, d.Float(-1.0), d.Float(1.0))
+        if isotropic:
+            flat = dr.sqrt(dr.maximum(w * (2.0 - w), 0.0))
+            return 1.0 - w, (flat * cosine, flat * sine), cosine, sign
+        x, y, z = events.rotate(d, (*p.across, p.mu), w, cosine, sine)
+        azimuth = x * dr.rsqrt(dr.maximum(x * x + y * y, _TINY)) if self.redirects else None
+        return dr.clip(z, -1.0, 1.0), (x, y), azimuth, sign
+
+    def _survival(self, stream: Any, before: Any, way: Way, free: Any, azimuth: Any, sign: Any) -> tuple[Any, Any, Any]:
+        """Weight after a meeting, what was absorbed, and what the redirect factor took."""
+        d, dr = self.d, self.dr
+        chance, loss = way.survive, way.loss
+        if self.shape.short and (self.analog or self.shape.ways == 1):
+            long = free >= way.below
+            chance, loss = dr.select(long, chance, 0.0), dr.select(long, loss, 1.0)
+        drawn = random.fine_uniform(d, stream.next_uint32())
+        focus = way.focus if self.redirects and not self.analog and not self.shape.steered else None
+        if self.analog:
+            kept = dr.select(drawn < loss, 0.0, before)
+            absorbed = before - kept
+        elif focus is None:
+            # Below the capture weight a photon survives by chance, whole: unbiased, and energy stays exact.
+            whole = dr.abs(before) < self.capture
+            lump = dr.select(whole, d.Float(1.0), LUMP)
+            by_chance = dr.select(drawn * lump < loss, lump, 0.0)
+            kept = dr.select(whole | (loss < LUMP), dr.fma(-before, by_chance, before), before * chance)
+            absorbed = before - kept
+        else:
+            both = chance * focus
+            whole = dr.abs(before) < self.capture
+            lives = drawn < both
+            kept = dr.select(whole, dr.select(lives, before, 0.0), before * both)
+            taken = before * loss
+            absorbed = dr.select(whole, dr.select(lives, 0.0, taken / (1.0 - both)), taken)
+            if sign is not None:
+                kept = kept * sign
+        if self.redirects and (self.analog or self.shape.steered):
+            kept = kept * self._factor(way.redirect, azimuth)
+        return kept, absorbed, before - absorbed - kept if self.redirects else None
+
+    def _factor(self, code: Any, azimuth: Any) -> Any:
+        """Algorithm 2's factor from the cosine of the azimuth."""
+        dr = self.dr
+        values = {0: self.d.Float(1.0), 1: dr.abs(azimuth), 2: azimuth, 3: dr.maximum(azimuth, 0.0)}
+        found = None
+        for k in self.shape.redirects:
+            found = values[k] if found is None else dr.select(code == k, values[k], found)
+        return found
+
+    def _interface(self, p: Photon, inside: Sequence[Any], up: Any, u: Any) -> tuple[Any, Any, Any, Any]:
+        """Whether light would pass, its cosine behind (signed and not), and the ratio of indices."""
+        d, dr, c = self.d, self.dr, self.c
+        if not self.shape.fresnel:
+            return d.Bool(True), p.mu, dr.abs(p.mu), None
+        eta, contrast = (
+            dr.select(up, self._pick(inside, x["up"]), self._pick(inside, x["down"])) for x in (c.eta, c.contrast)
+        )
+        r, behind = events.fresnel(d, eta, contrast, dr.abs(p.mu))
+        return u >= r, dr.select(up, -behind, behind), behind, eta
+
+
+def trace(
+    columns: Columns, settings: Settings, observers: Sequence[Observer], samples: int, seed: int, batch: int
+) -> list[Any]:
+    """Walk `samples` photons at each wavelength, shared out among its lanes, and return the observers' last states."""
+    d, dr = columns.d, columns.d.dr
+    walk = _Walk(columns, settings, observers)
+    stream = random.streams(d, columns.lanes, seed, batch)
+    photon = walk.enter(stream)
+    share, rest = divmod(samples, columns.per_wavelength)
+    quota = dr.opaque(d.UInt32, share) + dr.select(columns.rank < dr.opaque(d.UInt32, rest), d.UInt32(1), d.UInt32(0))
+    state = (
+        stream,
+        quota,
+        photon,
+        photon.weight if walk.random_entry else (),
+        tuple(o.start(d, columns.lanes) for o in observers),
+    )
+    state = dr.while_loop(state, lambda stream, left, *_: left > 0, walk.body, label="walk", mode="symbolic")
+    last = state[-1]
+    dr.eval(last)
+    dr.sync_thread()
+    return list(last)

@@ -1,0 +1,1 @@
+"""Run folders: their identity, their files, work in pieces, comparison."""

@@ -1,1 +1,0 @@
-"""Studies: jobs that an experiment file asks for, from a tissue to a run folder's files."""
