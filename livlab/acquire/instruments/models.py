@@ -142,7 +142,7 @@ class _Sampled(_Part):
 
 
 class WalkSolver(_Sampled):
-    """Monte Carlo (`livlab.model.transport.walk.walk`), each wavelength with as many samples as it needs.
+    """Monte Carlo (`livlab.model.transport.walk`), each wavelength with as many samples as it needs.
 
     Exactly one of `samples`, `standard_error` and `relative` rules; `relative` 0.002 if none is given.
     """
@@ -181,7 +181,7 @@ class AddingDoublingSolver(_Part):
 
 
 class AutoSolver(_Part):
-    """The cheapest solver that can meet the experiment's `[accuracy]` (`livlab.model.transport.ladder.solve`)."""
+    """The cheapest solver that can meet the experiment's `[accuracy]` (`livlab.model.transport.ladder`)."""
 
     kind: Literal["auto"] = "auto"
     pilot: int = Field(65536, ge=1000, le=10**8, description="Samples that first gauge each wavelength's noise.")
