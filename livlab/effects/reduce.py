@@ -12,9 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from livlab.model.tissue.particles.cylinder_lazy import settled
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import Isotropic, Tabulated, mixture
-from livlab.model.tissue.phase.lazy import settled
-from livlab.model.tissue.stack import Interaction, OpticalStack, Phase, PlaneLayer
+from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.units import FloatArray
 
 Names = frozenset[str]

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from livlab.errors import InputError
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
-from livlab.model.tissue.stack import OpticalStack, Phase, plain_stack
+from livlab.model.tissue.stack import OpticalStack, plain_stack
 from livlab.units import FloatArray
 
 

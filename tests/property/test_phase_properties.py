@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Tabulated, mixture
-from livlab.model.tissue.stack import Phase
 
 U = np.linspace(0.0, 1.0, 257)[:-1]
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import h1vp, hankel1, jv, jvp
 
-from livlab.model.tissue.particles.cylinder import bessel_pair, cylinder, cylinder_mean
-from livlab.model.tissue.particles.cylinder_kernels import coefficient_table
+from livlab.model.tissue.particles.cylinder import cylinder, cylinder_mean
+from livlab.model.tissue.particles.cylinder_kernels import bessel_pair, coefficient_table
 
 Coefficients = tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from livlab.errors import InputError
-from livlab.model.tissue.particles.cylinder import bessel_pair, cylinder_mean, cylinder_phase
-from livlab.model.tissue.particles.cylinder_kernels import coefficient_table
+from livlab.model.tissue.particles.cylinder import cylinder_mean, cylinder_phase
+from livlab.model.tissue.particles.cylinder_kernels import bessel_pair, coefficient_table
 
 CASES = [(1.5 / 1.35, 5.0), (1.5 / 1.35, 22.7), (1.534 / 1.35, 4.2), (1.5, 0.1), (1.5 - 0.1j, 10.0), (0.75, 8.0)]
 

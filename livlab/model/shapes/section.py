@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -134,13 +135,13 @@ def wedge(edge_point_mm: ArrayLike, edge: ArrayLike, middle: ArrayLike, opening:
 
 
 def _without(mesh: TriangleMesh, planes: list[Plane], back_mm: float, name: str) -> TriangleMesh:
-    from livlab.model.shapes.solids import beyond, mesh_of, solid
+    from livlab.model.shapes.solids import mesh_of, solid
 
     whole = solid(mesh, name)
     if len(planes) == 1:
         left = whole.trim_by_plane(tuple(-planes[0].unit), -(planes[0].offset_mm - back_mm))
     else:
-        left = whole - beyond(planes, back_mm, reach_mm=4 * float(np.abs(mesh.bounds).max() + np.max(mesh.extent)))
+        left = whole - _beyond(planes, back_mm, reach_mm=4 * float(np.abs(mesh.bounds).max() + np.max(mesh.extent)))
     if left.is_empty():
         raise InputError.of(
             "planes", planes, f"leave nothing of the {name} mesh", "Turn the normal, or move the plane."
@@ -149,4 +150,14 @@ def _without(mesh: TriangleMesh, planes: list[Plane], back_mm: float, name: str)
     made = mesh_of(left.simplify(sliver))
     for _ in range(3):  # a swap may leave its neighbour flat
         made = without_flat(made, sliver / 100)
+    return made
+
+
+def _beyond(planes: list[Plane], back_mm: float, reach_mm: float) -> Any:
+    """What lies beyond all planes, each moved back by `back_mm`, within a cube of this edge about the origin."""
+    import manifold3d
+
+    made = manifold3d.Manifold.cube((reach_mm,) * 3, True)
+    for plane in planes:
+        made = made.trim_by_plane(tuple(plane.unit), plane.offset_mm - back_mm)
     return made

@@ -7,7 +7,6 @@ import numpy as np
 
 from livlab.errors import InputError
 from livlab.model.shapes.mesh import TriangleMesh
-from livlab.model.shapes.section import Plane
 
 _REMEDIES = {"NotManifold": "holes, flipped faces or edges of three faces", "NonFiniteVertex": "NaN or infinity"}
 
@@ -30,14 +29,6 @@ def mesh_of(made: manifold3d.Manifold) -> TriangleMesh:
         return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
     out = made.to_mesh64()
     return TriangleMesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts).astype(np.int64))
-
-
-def beyond(planes: list[Plane], back_mm: float, reach_mm: float) -> manifold3d.Manifold:
-    """What lies beyond all planes, each moved back by `back_mm`, within a cube of this edge about the origin."""
-    made = manifold3d.Manifold.cube((reach_mm,) * 3, True)
-    for plane in planes:
-        made = made.trim_by_plane(tuple(plane.unit), plane.offset_mm - back_mm)
-    return made
 
 
 def thinned(mesh: TriangleMesh, faces: int) -> tuple[TriangleMesh, float]:

@@ -10,13 +10,14 @@ import numpy as np
 
 from livlab.model.tissue.elements import Fibre
 from livlab.model.tissue.particles.cylinder import cylinder_mean
+from livlab.model.tissue.particles.cylinder_lazy import lazy_cylinders
 from livlab.model.tissue.particles.rayleigh import SIZE_LIMIT, rayleigh_efficiency
 from livlab.model.tissue.particles.sphere import mie, mie_phase, size_parameter
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import Rayleigh
-from livlab.model.tissue.phase.lazy import lazy_cylinders
 from livlab.model.tissue.setting import Setting, scatterer
 from livlab.model.tissue.spectra import refractive_index
-from livlab.model.tissue.stack import Interaction, Phase
+from livlab.model.tissue.stack import Interaction
 from livlab.units import FloatArray, per_cm_to_per_mm, um_to_mm
 
 Law = Literal["rayleigh", "sphere", "cylinder"]

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import Isotropic
 from livlab.model.tissue.readings import Reading
-from livlab.model.tissue.stack import Interaction, Phase
+from livlab.model.tissue.stack import Interaction
 from livlab.units import FloatArray
 
 

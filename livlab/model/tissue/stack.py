@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
 from livlab.errors import InputError
+from livlab.model.tissue.phase.base import Phase
+from livlab.model.tissue.phase.functions import mixture
 from livlab.units import FloatArray
 
 Redirect = Literal["none", "abs_cos", "cos", "clamped_cos"]
@@ -27,32 +29,6 @@ REDIRECT_MEAN: dict[Redirect, float] = {
     "clamped_cos": 1.0 / math.pi,
 }
 """Mean of the factor over a uniform azimuth: the albedo that Algorithm 2 leaves in expectation."""
-
-
-@runtime_checkable
-class Phase(Protocol):
-    """A phase function of the scattering angle alone, normalised to 1 over the sphere."""
-
-    @property
-    def anisotropy(self) -> float:
-        """Mean cosine g of the scattering angle."""
-        ...
-
-    def pdf(self, cos_theta: FloatArray) -> FloatArray:
-        """Value per steradian at the given cosines: 2π ∫ p dcosθ = 1."""
-        ...
-
-    def cdf(self, cos_theta: FloatArray) -> FloatArray:
-        """Probability that the cosine is at most the given one."""
-        ...
-
-    def sample(self, u: FloatArray) -> FloatArray:
-        """Cosines whose cdf is u, for u in [0, 1)."""
-        ...
-
-    def legendre(self, order: int) -> FloatArray:
-        """Moments χ_l = 2π ∫ p P_l dcosθ for l = 0 … order; χ_0 = 1, χ_1 = g."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -129,8 +105,6 @@ class PlaneLayer:
 
     def phase(self, index: int) -> Phase:
         """The layer's phase function at one wavelength: its scatterers' mixture, weighted by scattering."""
-        from livlab.model.tissue.phase.functions import mixture
-
         parts = [i for i in self.interactions if i.rate[index] * i.albedo[index] > 0]
         weights = [float(i.rate[index] * i.albedo[index] * REDIRECT_MEAN[i.redirect]) for i in parts]
         return mixture([i.phases[index] for i in parts], weights)

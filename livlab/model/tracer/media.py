@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
-from livlab.model.tissue.stack import REDIRECT_MEAN, Interaction, OpticalStack, Phase, PlaneLayer
+from livlab.model.tissue.phase.base import Phase
+from livlab.model.tissue.stack import REDIRECT_MEAN, Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.fresnel import fresnel
 from livlab.model.transport.walk.tables import Tables, tables
 from livlab.units import FloatArray

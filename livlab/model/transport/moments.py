@@ -10,7 +10,8 @@ from typing import cast
 
 import numpy as np
 
-from livlab.model.tissue.stack import REDIRECT_MEAN, Phase, PlaneLayer
+from livlab.model.tissue.phase.base import Phase
+from livlab.model.tissue.stack import REDIRECT_MEAN, PlaneLayer
 from livlab.units import FloatArray
 
 

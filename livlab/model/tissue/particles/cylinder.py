@@ -224,14 +224,6 @@ def _phase(m: complex, x: float) -> Tabulated:
     return table
 
 
-def bessel_pair(xi: FloatArray) -> FloatArray:
-    """(N, 4) J0, Y0, J1, Y1 at ξ, as the kernels want them; 1, 0, 0, 0 at ξ = 0, where no kernel asks."""
-    from scipy.special import j0, j1, y0, y1
-
-    safe = np.where(xi > 0.0, xi, 1.0)
-    return np.stack([j0(safe), y0(safe), j1(safe), y1(safe)], axis=-1)
-
-
 @lru_cache(maxsize=32)
 def _panels(nodes: int) -> tuple[FloatArray, FloatArray]:
     """Gauss's rule on [-1, 1] in panels of at most 64 nodes: the plain rule of thousands costs minutes to make."""
@@ -269,7 +261,7 @@ def _mean_row(m: complex, x: float) -> FloatArray:
 
 def _rows(index: ComplexArray, size: FloatArray, sine: FloatArray, cosine: FloatArray) -> FloatArray:
     """(N, 6) Q_ext, Q_sca and Q_sca g of cases I and II, one cylinder a row."""
-    from livlab.model.tissue.particles.cylinder_kernels import efficiencies
+    from livlab.model.tissue.particles.cylinder_kernels import bessel_pair, efficiencies
 
     contrast: ComplexArray = np.conj((index - 1.0) * (index + 1.0)).astype(np.complex128)
     contrast[contrast == 0.0] = _NOTHING

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from livlab.model.tissue.particles.cylinder_kernels import coefficient_table, orders
+from livlab.model.tissue.particles.cylinder_kernels import bessel_pair, coefficient_table, orders
 from livlab.model.tissue.particles.sphere_series import ComplexArray
 from livlab.model.tissue.phase.tabulated import Tabulated
 from livlab.units import FloatArray
@@ -46,8 +46,6 @@ def cone_intensity(b1: ComplexArray, a1: ComplexArray, a2: ComplexArray, points:
 def orientation_table(m: complex, x: float, level: int) -> Tabulated:
     """The averaged phase function; each level doubles the table's scattering angles. `m` is n + ik here."""
     from scipy.ndimage import map_coordinates, spline_filter
-
-    from livlab.model.tissue.particles.cylinder import bessel_pair
 
     zeta = np.linspace(0.0, 0.5 * math.pi, 1 + math.ceil(8.0 * x + 400.0))
     phi = np.linspace(0.0, math.pi, 1 + 8 * (orders(x) + 4))

@@ -30,6 +30,14 @@ from livlab.units import FloatArray
 ComplexArray = NDArray[np.complex128]
 
 
+def bessel_pair(xi: FloatArray) -> FloatArray:
+    """(N, 4) J0, Y0, J1, Y1 at ξ, as the kernels want them; 1, 0, 0, 0 at ξ = 0, where no kernel asks."""
+    from scipy.special import j0, j1, y0, y1
+
+    safe = np.where(xi > 0.0, xi, 1.0)
+    return np.stack([j0(safe), y0(safe), j1(safe), y1(safe)], axis=-1)
+
+
 @compiled
 def orders(xi: float) -> int:
     """Highest order kept: the coefficients fall faster than exponentially beyond ξ."""

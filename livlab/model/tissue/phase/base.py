@@ -7,7 +7,7 @@ The classes therefore state density, distribution and quantile in w, and `pdf`, 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,11 +15,37 @@ from livlab.errors import InputError
 from livlab.units import FloatArray
 
 
+@runtime_checkable
+class Phase(Protocol):
+    """A phase function of the scattering angle alone, normalised to 1 over the sphere."""
+
+    @property
+    def anisotropy(self) -> float:
+        """Mean cosine g of the scattering angle."""
+        ...
+
+    def pdf(self, cos_theta: FloatArray) -> FloatArray:
+        """Value per steradian at the given cosines: 2π ∫ p dcosθ = 1."""
+        ...
+
+    def cdf(self, cos_theta: FloatArray) -> FloatArray:
+        """Probability that the cosine is at most the given one."""
+        ...
+
+    def sample(self, u: FloatArray) -> FloatArray:
+        """Cosines whose cdf is u, for u in [0, 1)."""
+        ...
+
+    def legendre(self, order: int) -> FloatArray:
+        """Moments χ_l = 2π ∫ p P_l dcosθ for l = 0 … order; χ_0 = 1, χ_1 = g."""
+        ...
+
+
 class PhaseFunction(ABC):
     """A phase function of the scattering angle, normalised to 1 over the sphere.
 
     Subclasses give `anisotropy`, `legendre` and the three functions of the complement w = 1 − cos θ in
-    [0, 2]; they satisfy `livlab.model.tissue.stack.Phase`.
+    [0, 2]; they satisfy `Phase`.
     """
 
     @property

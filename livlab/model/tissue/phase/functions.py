@@ -1,7 +1,7 @@
 """Phase functions: isotropic, Rayleigh, Henyey–Greenstein, tabulated, and their mixtures.
 
 Each is immutable, hashable and comparable, so that caches can key on it, and satisfies
-`livlab.model.tissue.stack.Phase`.
+`livlab.model.tissue.phase.base.Phase`.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from livlab.errors import InputError
-from livlab.model.tissue.phase.base import PhaseFunction, checked_order
+from livlab.model.tissue.phase.base import Phase, PhaseFunction, checked_order
 from livlab.model.tissue.phase.kernel import KernelTable, kernel_table
 from livlab.model.tissue.phase.tabulated import Tabulated
-from livlab.model.tissue.stack import Phase
 from livlab.units import FloatArray
 
 __all__ = [
     "HenyeyGreenstein",
     "Isotropic",
     "KernelTable",
-    "Mixture",
     "PhaseFunction",
+    "PhaseMixture",
     "Rayleigh",
     "Tabulated",
     "kernel_table",
@@ -161,7 +160,7 @@ class HenyeyGreenstein(PhaseFunction):
 
 
 @dataclass(frozen=True)
-class Mixture(PhaseFunction):
+class PhaseMixture(PhaseFunction):
     """Σ f_i p_i with shares f_i that sum to 1; make it by `mixture`, which simplifies.
 
     Attributes
@@ -178,10 +177,13 @@ class Mixture(PhaseFunction):
     def __post_init__(self) -> None:
         if not self.phases or len(self.phases) != len(self.weights):
             raise InputError.of(
-                "Mixture.weights", self.weights, f"must hold one share for each of {len(self.phases)} phases", "Match."
+                "PhaseMixture.weights",
+                self.weights,
+                f"must hold one share for each of {len(self.phases)} phases",
+                "Match.",
             )
         if not all(f > 0 for f in self.weights) or abs(math.fsum(self.weights) - 1.0) > 1e-12:
-            raise InputError.of("Mixture.weights", self.weights, "must be > 0 and sum to 1", "Use mixture().")
+            raise InputError.of("PhaseMixture.weights", self.weights, "must be > 0 and sum to 1", "Use mixture().")
 
     @property
     def anisotropy(self) -> float:
@@ -269,7 +271,9 @@ def mixture(phases: Sequence[Phase], weights: Sequence[float]) -> Phase:
             raise InputError.of("weights", weight, "must be finite and >= 0", "Give scattering coefficients.")
         if weight == 0.0:
             continue
-        inner = zip(phase.phases, phase.weights, strict=True) if isinstance(phase, Mixture) else iter([(phase, 1.0)])
+        inner = (
+            zip(phase.phases, phase.weights, strict=True) if isinstance(phase, PhaseMixture) else iter([(phase, 1.0)])
+        )
         for part, share in inner:
             merged[part] = merged.get(part, 0.0) + weight * share
     if not merged:
@@ -280,7 +284,7 @@ def mixture(phases: Sequence[Phase], weights: Sequence[float]) -> Phase:
     total = math.fsum(x / top for x in merged.values())
     shares = {p: x / top / total for p, x in merged.items()}
     kept = {p: f for p, f in shares.items() if f > 0.0}
-    return Mixture(tuple(kept), tuple(kept.values())) if len(kept) > 1 else next(iter(kept))
+    return PhaseMixture(tuple(kept), tuple(kept.values())) if len(kept) > 1 else next(iter(kept))
 
 
 def _leading(order: int, *values: float) -> FloatArray:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
-from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, Phase
+from livlab.model.tissue.phase.base import Phase
+from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack
 from livlab.model.transport.tally import Tally
 from livlab.units import FloatArray
 

@@ -10,9 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from livlab.model.tissue.particles.cylinder_lazy import prepare
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh, kernel_table
-from livlab.model.tissue.phase.lazy import prepare
-from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, Phase, PlaneLayer, Redirect
+from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, PlaneLayer, Redirect
 from livlab.units import FloatArray
 
 Estimator = Literal["expected", "analog"]

@@ -10,16 +10,16 @@ import pytest
 from scipy.integrate import quad
 
 from livlab.errors import InputError
+from livlab.model.tissue.phase.base import Phase
 from livlab.model.tissue.phase.functions import (
     HenyeyGreenstein,
     Isotropic,
-    Mixture,
+    PhaseMixture,
     Rayleigh,
     Tabulated,
     kernel_table,
     mixture,
 )
-from livlab.model.tissue.stack import Phase
 
 U = np.linspace(0.0, 1.0, 10_001)[:-1]
 ALL = [
@@ -179,7 +179,7 @@ def test_mixture_simplifies() -> None:
     assert mixture([a, b], [0.0, 2.0]) is b
     assert mixture([a, HenyeyGreenstein(0.9)], [1.0, 2.0]) == a
     nested = mixture([mixture([a, b], [1.0, 1.0]), b, c], [2.0, 1.0, 1.0])
-    assert nested == Mixture((a, b, c), (0.25, 0.5, 0.25))
+    assert nested == PhaseMixture((a, b, c), (0.25, 0.5, 0.25))
     assert hash(nested) == hash(mixture([a, b, c], [1.0, 2.0, 1.0]))
     assert mixture([a, b], [1e-320, 1.0]) == b or mixture([a, b], [1e-320, 1.0]).anisotropy < 1e-300
 
