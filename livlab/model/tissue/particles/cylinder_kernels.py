@@ -21,6 +21,8 @@ Time factor exp(−iωt), m = n + ik.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,6 +48,32 @@ def orders(xi: float) -> int:
     return int(xi + 6.0 * xi ** (1.0 / 3.0) + 8.0)
 
 
+class _Incidence(NamedTuple):
+    """What all orders share: m², and ξ² = y1, η² = y2 and their difference τ, at sin ζ and cos ζ.
+
+    Where |q| > 1, `wide`, `q` is its inverse.
+    """
+
+    square: complex
+    x: float
+    sine: float
+    cosine: float
+    y1: float
+    y2: complex
+    tau: complex
+    wide: bool
+    q: complex
+
+
+class _Ratios(NamedTuple):
+    """M1, M2, μ and ν of one order."""
+
+    m1: float
+    m2: complex
+    mu: complex
+    nu: complex
+
+
 @compiled
 def coefficients(
     contrast: complex,
@@ -61,12 +89,46 @@ def coefficients(
 
     `contrast` is m² − 1; `bessel` holds J0, Y0, J1, Y1 at ξ = x sin ζ.
     """
-    square = 1.0 + contrast
     xi = x * sine
     y1 = xi * xi
     tau = x * x * contrast
     y2 = tau + y1
+    wide = abs(y1) > abs(y2)
+    at = _Incidence(
+        square=1.0 + contrast, x=x, sine=sine, cosine=cosine, y1=y1, y2=y2, tau=tau, wide=wide,
+        q=y2 / y1 if wide else y1 / y2,
+    )  # fmt: skip
     top = orders(xi)
+    m1s, m2s, mus, nus = _downward(at, xi, top)
+    j_before = 0.0
+    j = bessel[0]
+    inverse_h = 1.0 / complex(bessel[0], bessel[1])
+    h = -xi * complex(bessel[2], bessel[3]) * inverse_h
+    first = _Ratios(m1s[0], m2s[0], mus[0], nus[0])
+    b1[0], a2[0] = _lowest(at, first, 1.0 / (1.0 + m1s[1]), h, j * inverse_h)
+    a1[0] = 0.0
+    theta = 0j
+    for n in range(1, top + 1):
+        if n == 1:
+            theta = xi * complex(bessel[0], bessel[1]) / complex(bessel[2], bessel[3])
+            j_before, j = j, bessel[2]
+        else:
+            theta = y1 / (2.0 * (n - 1.0) - theta)
+            after = 2.0 * (n - 1.0) / xi * j - j_before if n < xi else j * xi / (n + m1s[n])
+            j_before, j = j, after
+        inverse_h = inverse_h * theta / xi
+        inner_b, inner_a, share, delta = _brackets(at, _Ratios(m1s[n], m2s[n], mus[n], nus[n]), n, theta)
+        r = j * inverse_h
+        b1[n] = r * share * inner_b / delta
+        a2[n] = r * share * inner_a / delta
+        a1[n] = 2.0 / np.pi * (n * cosine) * share * inverse_h * inverse_h / delta
+    return top
+
+
+@compiled
+def _downward(at: _Incidence, xi: float, top: int) -> tuple[FloatArray, ComplexArray, ComplexArray, ComplexArray]:
+    """M1, M2, μ and ν for n = 0 … N, by recurrences that run down from far beyond N."""
+    y1, y2, tau = at.y1, at.y2, at.tau
     size = np.sqrt(abs(y2))
     start = int(max(float(top), xi, size)) + 25 + int(1.5 * np.sqrt(max(xi, size)))
     m1s = np.empty(top + 1)
@@ -90,59 +152,46 @@ def coefficients(
             m2s[n - 1] = m2
             mus[n - 1] = mu
             nus[n - 1] = 1.0 / low2
-    j_before = 0.0
-    j = bessel[0]
-    inverse_h = 1.0 / complex(bessel[0], bessel[1])
-    theta = 0j
-    wide = abs(y1) > abs(y2)  # |q| > 1
-    q = 0j if wide else y1 / y2
-    inverse_q = y2 / y1 if wide else 0j
-    for n in range(top + 1):
-        m1 = m1s[n]
-        m2 = m2s[n]
-        mu = mus[n]
-        nu = nus[n]
-        if n == 0:
-            h = -xi * complex(bessel[2], bessel[3]) * inverse_h
-            r = j * inverse_h
-            nu1 = 1.0 / (1.0 + m1s[1])
-            if wide:
-                b1[0] = r * tau * (square * (mu + nu) + m1 / (x * x)) / (-square * y1 * nu - h)
-                a2[0] = -r * tau * (nu + mu) / (h + y1 * nu)
-            else:
-                b1[0] = r * tau * q * (square * mu + cosine * cosine * nu1) / (square * q * m2 - h)
-                a2[0] = -r * tau * q * (nu1 + mu) / (h - q * m2)
-            a1[0] = 0.0
-            continue
-        if n == 1:
-            theta = xi * complex(bessel[0], bessel[1]) / complex(bessel[2], bessel[3])
-            j_before, j = j, bessel[2]
-        else:
-            theta = y1 / (2.0 * (n - 1.0) - theta)
-            after = 2.0 * (n - 1.0) / xi * j - j_before if n < xi else j * xi / (n + m1)
-            j_before, j = j, after
-        inverse_h = inverse_h * theta / xi
-        h = theta - n
-        r = j * inverse_h
-        nc = n * cosine
-        turn = square * y1 * mu - cosine * cosine * m1
-        if wide:
-            rest = square * nu * (n + m2) - n * n / (x * x)
-            share = inverse_q - 1.0
-            delta = inverse_q * (theta * (2.0 * n - theta) - (n * sine) ** 2)
-            delta += h * m2 * (1.0 + square) - 2.0 * nc * nc - (n * sine) ** 2 + square * y1 * nu * (n + m2)
-            inner_b = h * turn + nc * nc - y1 * (m2 * (square * mu + m1 / (x * x)) + rest)
-            inner_a = -h * (m1 - y1 * mu) + nc * nc - y1 * (square * mu * m2 + rest)
-        else:
-            share = tau / y2
-            delta = theta * (2.0 * n - theta) + n * n * (q * q - 2.0 * q - (sine * share) ** 2)
-            delta += q * m2 * (h * (1.0 + square) - square * q * m2)
-            inner_b = (h - q * m2) * turn + nc * nc * share
-            inner_a = (m1 - y1 * mu) * (square * q * m2 - h) + nc * nc * share
-        b1[n] = r * share * inner_b / delta
-        a2[n] = r * share * inner_a / delta
-        a1[n] = 2.0 / np.pi * nc * share * inverse_h * inverse_h / delta
-    return top
+    return m1s, m2s, mus, nus
+
+
+@compiled
+def _lowest(at: _Incidence, of: _Ratios, nu1: float, h: complex, r: complex) -> tuple[complex, complex]:
+    """b_0I and a_0II; `nu1` is 1/(1 + M1) of order 1."""
+    square, x, tau, y1 = at.square, at.x, at.tau, at.y1
+    m1, m2, mu, nu = of.m1, of.m2, of.mu, of.nu
+    if at.wide:
+        b = r * tau * (square * (mu + nu) + m1 / (x * x)) / (-square * y1 * nu - h)
+        return b, -r * tau * (nu + mu) / (h + y1 * nu)
+    q = at.q
+    b = r * tau * q * (square * mu + at.cosine * at.cosine * nu1) / (square * q * m2 - h)
+    return b, -r * tau * q * (nu1 + mu) / (h - q * m2)
+
+
+@compiled
+def _brackets(at: _Incidence, of: _Ratios, n: int, theta: complex) -> tuple[complex, complex, complex, complex]:
+    """The braces of b_nI and a_nII, 1 − q and Δ, n > 0; where |q| > 1 all with η² taken out as the module says."""
+    square, x, sine, cosine, y1 = at.square, at.x, at.sine, at.cosine, at.y1
+    m1, m2, mu, nu = of
+    h = theta - n
+    nc = n * cosine
+    turn = square * y1 * mu - cosine * cosine * m1
+    if at.wide:
+        inverse_q = at.q
+        rest = square * nu * (n + m2) - n * n / (x * x)
+        share = inverse_q - 1.0
+        delta = inverse_q * (theta * (2.0 * n - theta) - (n * sine) ** 2)
+        delta += h * m2 * (1.0 + square) - 2.0 * nc * nc - (n * sine) ** 2 + square * y1 * nu * (n + m2)
+        inner_b = h * turn + nc * nc - y1 * (m2 * (square * mu + m1 / (x * x)) + rest)
+        inner_a = -h * (m1 - y1 * mu) + nc * nc - y1 * (square * mu * m2 + rest)
+    else:
+        q = at.q
+        share = at.tau / at.y2
+        delta = theta * (2.0 * n - theta) + n * n * (q * q - 2.0 * q - (sine * share) ** 2)
+        delta += q * m2 * (h * (1.0 + square) - square * q * m2)
+        inner_b = (h - q * m2) * turn + nc * nc * share
+        inner_a = (m1 - y1 * mu) * (square * q * m2 - h) + nc * nc * share
+    return inner_b, inner_a, share, delta
 
 
 @compiled
