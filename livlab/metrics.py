@@ -191,8 +191,6 @@ def colour_difference(lab_a: ArrayLike, lab_b: ArrayLike) -> FloatArray:
     InputError
         If the last axis is not 3 long, or an entry is NaN or infinite.
     """
-    from colour.difference import delta_E_CIE2000
-
     colours = []
     for name, lab in (("lab_a", lab_a), ("lab_b", lab_b)):
         array = np.asarray(lab, dtype=np.float64)
@@ -201,7 +199,15 @@ def colour_difference(lab_a: ArrayLike, lab_b: ArrayLike) -> FloatArray:
         if not np.isfinite(array).all():
             raise InputError.of(name, "NaN or infinite", "every entry must be a finite number", "Mend the colours.")
         colours.append(array)
-    return np.asarray(delta_E_CIE2000(*colours), dtype=np.float64)
+    return ciede2000(*colours)
+
+
+def ciede2000(lab_a: FloatArray, lab_b: FloatArray) -> FloatArray:
+    """`colour_difference` of (..., 3) arrays as they are: nothing is checked, and NaN stays NaN."""
+    with np.printoptions():  # which colour-science sets where it is imported
+        from colour.difference import delta_E_CIE2000
+
+    return np.asarray(delta_E_CIE2000(lab_a, lab_b), dtype=np.float64)
 
 
 @dataclass(frozen=True)

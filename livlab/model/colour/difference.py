@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
+from livlab.metrics import ciede2000
 from livlab.model.colour.encoding import check_channels
 from livlab.model.colour.science import colour_science
 from livlab.units import FloatArray
@@ -61,9 +62,7 @@ def delta_e_2000(first: xr.DataArray, second: xr.DataArray, *, space: Space = "l
     else:
         raise InputError.of("space", space, 'must be "linear-srgb" or "lab"', "Pick one.")
     template = a.isel(channel=0, drop=True)
-    difference = template.copy(
-        data=np.asarray(colour_science().difference.delta_E_CIE2000(*labs), dtype=np.float64).reshape(template.shape)
-    )
+    difference = template.copy(data=ciede2000(*labs).reshape(template.shape))
     return difference.rename("delta_e_2000").drop_attrs().assign_attrs(units="1")
 
 

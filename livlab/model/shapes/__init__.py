@@ -7,18 +7,18 @@ from livlab.model.shapes.mesh import TriangleMesh
 from livlab.model.shapes.mesh_files import read_mesh, write_meshes
 from livlab.model.shapes.organ import liver
 from livlab.model.shapes.primitives import box, sphere
-from livlab.model.shapes.section import Plane, Section, section, wedge
+from livlab.model.shapes.section import MeshSection, Plane, section, wedge
 from livlab.model.shapes.shell import Inset, Thickness, inset
-from livlab.model.shapes.volume import Segmentation, Surface, surface
+from livlab.model.shapes.volume import Segmentation, SegmentedSurface, surface
 from livlab.model.shapes.volume_files import read_volume
 
 __all__ = [
     "DistanceField",
     "Inset",
+    "MeshSection",
     "Plane",
-    "Section",
     "Segmentation",
-    "Surface",
+    "SegmentedSurface",
     "Thickness",
     "TriangleMesh",
     "box",

@@ -49,7 +49,7 @@ class Plane:
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class MeshSection:
     """Cut meshes, outer first; `removed_mm3` of the outer's volume is gone."""
 
     outer: TriangleMesh
@@ -59,7 +59,7 @@ class Section:
 
 def section(
     outer: TriangleMesh, inner: TriangleMesh | None = None, *, planes: Plane | list[Plane], gap_mm: float = 0.01
-) -> Section:
+) -> MeshSection:
     """Take away what lies beyond one plane, or beyond all of several: two make a wedge, three a corner.
 
     On the cut the inner mesh's new face lies `gap_mm` behind the outer's. Two faces in one place would leave it to
@@ -97,7 +97,7 @@ def section(
     removed = outer.volume - cut.volume
     if removed <= 1e-9 * outer.volume:
         raise InputError.of("planes", several, "must cut the mesh", f"It reaches from {outer.bounds.tolist()} mm.")
-    return Section(cut, None if inner is None else _without(inner, several, gap_mm, "inner"), removed)
+    return MeshSection(cut, None if inner is None else _without(inner, several, gap_mm, "inner"), removed)
 
 
 def wedge(edge_point_mm: ArrayLike, edge: ArrayLike, middle: ArrayLike, opening: float) -> list[Plane]:

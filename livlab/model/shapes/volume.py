@@ -51,7 +51,7 @@ class Segmentation:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class SegmentedSurface:
     """Mesh of a segmentation, and notes on what it took."""
 
     mesh: TriangleMesh
@@ -60,7 +60,7 @@ class Surface:
 
 def surface(
     segmentation: Segmentation, *, smoothing_mm: float | None = None, faces: int | None = None, keep: str = "largest"
-) -> Surface:
+) -> SegmentedSurface:
     """Closed surface of a segmentation.
 
     The indicator is blurred by a Gaussian, so that marching cubes (Lewiner et al. 2003) at one half finds a surface
@@ -122,7 +122,7 @@ def surface(
         )
     change = mesh.volume / segmentation.volume_mm3 - 1
     notes.append(f"The voxels hold {segmentation.volume_mm3:.6g} mm³, the mesh {100 * change:+.2f} % of it.")
-    return Surface(mesh, tuple(notes))
+    return SegmentedSurface(mesh, tuple(notes))
 
 
 def _kept(mesh: TriangleMesh, keep: str) -> tuple[TriangleMesh, list[str]]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from livlab.errors import InputError
-from livlab.model.tissue.spectra import Extinction, Index, Spec, Spectrum, names_of
+from livlab.model.tissue.spectra import AbsorptionSpectrum, Extinction, Index, Spec, names_of
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Anisotropy = Annotated[float, Field(gt=-1.0, lt=1.0)]
@@ -96,7 +96,7 @@ class Part(Spec):
     """A part of a mixture; the one part without a share takes the rest."""
 
     share: Share | None = Field(None, description="Share of the mixture, 0–1; the rest if not said.")
-    spectrum: Spectrum = Field(description="Its absorption.")
+    spectrum: AbsorptionSpectrum = Field(description="Its absorption.")
 
 
 class Mixture(_Element):
@@ -141,7 +141,7 @@ class Pigment(_Element):
 
     kind: Literal["pigment"]
     fraction: Share = Field(description="Volume fraction.")
-    spectrum: Spectrum = Field(description="Its absorption, pure.")
+    spectrum: AbsorptionSpectrum = Field(description="Its absorption, pure.")
 
     budget: ClassVar[Budget] = "composition"
     units: ClassVar[dict[str, str]] = {"fraction": "1"}

@@ -194,103 +194,111 @@ READINGS: dict[str, Reading] = {name: reading(name) for name in BASES}
 """The three readings that every report shows side by side."""
 
 
-Part = Literal["fibres", "cells", "stand-ins", "choices", "walk"]
+Subject = Literal["fibres", "cells", "stand-ins", "choices", "walk"]
 """What of a tissue a row speaks of: elements of a kind, elements that stand in for others, the tissue's own choices, or
 the walk, which every tissue has."""
 
 
 @dataclass(frozen=True)
-class Row:
+class Contradiction:
     """A row of the table of contradictions: number, option, what the text says, the trouble, and what it speaks of."""
 
     number: int | None
     option: str
     text: str
     trouble: str
-    of: Part = "walk"
+    of: Subject = "walk"
 
 
-_ROWS: tuple[Row, ...] = (
-    Row(1, "riccati_bessel", "eq. 3.7: ψ = j_n", "the Riccati–Bessel function is z·j_n", of="fibres"),
-    Row(
+_ROWS: tuple[Contradiction, ...] = (
+    Contradiction(1, "riccati_bessel", "eq. 3.7: ψ = j_n", "the Riccati–Bessel function is z·j_n", of="fibres"),
+    Contradiction(
         2,
         "mie_wavenumber",
         "eq. 6.6: k in vacuum",
         "Q needs k in the medium, else it is not an efficiency",
         of="fibres",
     ),
-    Row(
+    Contradiction(
         3,
         "fibre_density",
         "eq. 6.3 · 6.7: Q p π r² with p per area",
         "the product is Q f_v and has no unit; the text says 1/cm",
         of="fibres",
     ),
-    Row(4, "elastin_index", "eq. 6.8: absolute η", "must be η/η_med; as printed Q reaches about 70", of="fibres"),
-    Row(
+    Contradiction(
+        4, "elastin_index", "eq. 6.8: absolute η", "must be η/η_med; as printed Q reaches about 70", of="fibres"
+    ),
+    Contradiction(
         5, "small_fibre_law", "Rayleigh for d = 0.5 µm", "the text itself asks for r < λ/10; x is about 4", of="fibres"
     ),
-    Row(6, "elastin_refractive_index", "1.534 in the prose, 1.5 in Table 7.1", "two values", of="choices"),
-    Row(
+    Contradiction(6, "elastin_refractive_index", "1.534 in the prose, 1.5 in Table 7.1", "two values", of="choices"),
+    Contradiction(
         None,
         "fibre_hydration",
         "Table 7.1: η of 1.5 in water",
         "that of dry fibres; hydrated collagen has 1.43, dry 1.53 (Wang 1996, 850 nm)",
         of="choices",
     ),
-    Row(
+    Contradiction(
         7,
         "lipid_bile",
         "lipids and bile 3.9 % and 1.9 % in the prose, 0.019 and 0.039 in Table 7.1",
         "swapped; by eq. 6.14 f_L is a share of f_LA",
         of="choices",
     ),
-    Row(
+    Contradiction(
         8,
         "hepatocyte_axes",
         'a, b are "diameters" in eq. 6.16',
         "surface over volume of a spheroid needs semi-axes: a factor 2",
         of="cells",
     ),
-    Row(9, "hepatocyte_rate", "eq. 6.19: d' grows with σ_t", "more hepatocytes scatter less; no unit", of="cells"),
-    Row(
+    Contradiction(
+        9, "hepatocyte_rate", "eq. 6.19: d' grows with σ_t", "more hepatocytes scatter less; no unit", of="cells"
+    ),
+    Contradiction(
         10,
         "hepatocyte_absorption",
         "Algorithm 1: absorb if d < diameter",
         "compares a penalised length with 20–30 µm",
         of="cells",
     ),
-    Row(
+    Contradiction(
         11,
         "redirect_factor",
         "Algorithm 2: intensity *= cos θ, θ uniform in [0, 2π)",
         "the factor has mean zero: every scattered ray averages to nothing, or goes negative",
     ),
-    Row(11, "scattering_phase", "Algorithm 2: a uniform direction", "the elements' phase functions are left out"),
-    Row(12, "dipole_distance", "eq. 5.5: d_r = √(r² − z²)", "must be r² + z²"),
-    Row(13, "index_labels", "η under eq. 3.9–3.10", "labels swapped: particle and medium", of="fibres"),
-    Row(14, "sphere_limit", "eq. 6.16 for a sphere, a = b", "asin(c)/c is 0/0", of="cells"),
-    Row(15, "zero_draw", "eq. 6.18: ξ = 0, σ = 0", "infinite distance"),
-    Row(16, "in_vivo_vessel_radius_unit", '"R 0.004" in vivo beside 50 µm ex vivo', "no unit", of="choices"),
-    Row(
+    Contradiction(
+        11, "scattering_phase", "Algorithm 2: a uniform direction", "the elements' phase functions are left out"
+    ),
+    Contradiction(12, "dipole_distance", "eq. 5.5: d_r = √(r² − z²)", "must be r² + z²"),
+    Contradiction(13, "index_labels", "η under eq. 3.9–3.10", "labels swapped: particle and medium", of="fibres"),
+    Contradiction(14, "sphere_limit", "eq. 6.16 for a sphere, a = b", "asin(c)/c is 0/0", of="cells"),
+    Contradiction(15, "zero_draw", "eq. 6.18: ξ = 0, σ = 0", "infinite distance"),
+    Contradiction(16, "in_vivo_vessel_radius_unit", '"R 0.004" in vivo beside 50 µm ex vivo', "no unit", of="choices"),
+    Contradiction(
         17,
         "blood_fraction",
         'blood 8.4 % "in vivo" used for an ex-vivo curve; 3.4 % haemoglobin ex vivo',
         "two values, two states",
         of="choices",
     ),
-    Row(
+    Contradiction(
         None,
         "parenchyma_scattering",
         "eq. 6.16: hepatocytes alone scatter",
         "published liver scattering differs",
         of="stand-ins",
     ),
-    Row(None, "published_scattering", "–", "three published livers: 9.0, 9.2 and 16.5 1/cm at 500 nm", of="choices"),
+    Contradiction(
+        None, "published_scattering", "–", "three published livers: 9.0, 9.2 and 16.5 1/cm at 500 nm", of="choices"
+    ),
 )
 
 
-def options_of(parts: Collection[Part], chosen: Collection[str] = ()) -> tuple[str, ...]:
+def options_of(parts: Collection[Subject], chosen: Collection[str] = ()) -> tuple[str, ...]:
     """Options that speak of these parts of a tissue, in the table's order; of its choices those that it `chosen`.
 
     >>> options_of(["walk"])

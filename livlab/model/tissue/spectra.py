@@ -41,11 +41,14 @@ class FromDatasets(Spec):
         return {"datasets": [data]} if isinstance(data, str) else data
 
 
-class Spectrum(FromDatasets):
+class AbsorptionSpectrum(FromDatasets):
     """An absorption spectrum by dataset name; of several datasets the first that covers a wavelength is used.
 
     In a file a plain name stands for `{datasets = [name]}`.
     """
+
+    __qualname__ = "Spectrum"  # what schemas call it
+    model_config = ConfigDict(title="Spectrum")
 
     column: str = Field("absorption_per_cm", description="Column to read, an absorption coefficient.")
 
@@ -70,6 +73,9 @@ class Spectrum(FromDatasets):
                     'Use an element of kind = "solute", which has a concentration, or another column.',
                 )
         return _first_that_covers(self.datasets, self.column, "1/mm", wavelength_nm, self.outside, note)
+
+
+AbsorptionSpectrum.__qualname__ = "AbsorptionSpectrum"
 
 
 class Extinction(FromDatasets):
@@ -108,8 +114,11 @@ class Cauchy(Spec):
         return self
 
 
-class Tabulated(Spec):
+class DatasetIndex(Spec):
     """Index from a dataset's column."""
+
+    __qualname__ = "Tabulated"  # what schemas call it
+    model_config = ConfigDict(title="Tabulated")
 
     kind: Literal["dataset"]
     dataset: str = Field(description="Name of the dataset.")
@@ -117,10 +126,13 @@ class Tabulated(Spec):
     outside: Outside = Field("error", description="Outside the range: error, or hold the nearest end.")
 
 
+DatasetIndex.__qualname__ = "DatasetIndex"
+
+
 def _index_kind(value: Any) -> str | None:
     if isinstance(value, dict):
         return value.get("kind")
-    if isinstance(value, (Cauchy, Tabulated)):
+    if isinstance(value, (Cauchy, DatasetIndex)):
         return value.kind
     return "constant"
 
@@ -128,13 +140,13 @@ def _index_kind(value: Any) -> str | None:
 Index = Annotated[
     Annotated[float, Field(gt=0.1, lt=10.0), Tag("constant")]
     | Annotated[Cauchy, Tag("cauchy")]
-    | Annotated[Tabulated, Tag("dataset")],
+    | Annotated[DatasetIndex, Tag("dataset")],
     Discriminator(_index_kind),
 ]
 """A refractive index: a number, {kind = "cauchy", …} or {kind = "dataset", …}."""
 
 
-def refractive_index(index: float | Cauchy | Tabulated, wavelength_nm: FloatArray, note: Note) -> FloatArray:
+def refractive_index(index: float | Cauchy | DatasetIndex, wavelength_nm: FloatArray, note: Note) -> FloatArray:
     """Refractive index at wavelengths in nm, one entry a wavelength.
 
     Raises
@@ -154,14 +166,14 @@ def refractive_index(index: float | Cauchy | Tabulated, wavelength_nm: FloatArra
         beyond = (wavelength_nm < low) | (wavelength_nm > high)
         _refuse_or_note(wavelength_nm[beyond], index.outside, f"the dispersion formula ({low:g}–{high:g} nm)", note)
         return _cauchy(index.coefficients, np.clip(wavelength_nm, low, high))
-    if isinstance(index, Tabulated):
+    if isinstance(index, DatasetIndex):
         return _first_that_covers((index.dataset,), index.column, "1", wavelength_nm, index.outside, note)
     return np.full_like(wavelength_nm, float(index))
 
 
-def names_of(index: float | Cauchy | Tabulated) -> tuple[str, ...]:
+def names_of(index: float | Cauchy | DatasetIndex) -> tuple[str, ...]:
     """Datasets that an index needs."""
-    return (index.dataset,) if isinstance(index, Tabulated) else ()
+    return (index.dataset,) if isinstance(index, DatasetIndex) else ()
 
 
 def _cauchy(coefficients: tuple[float, ...], wavelength_nm: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from livlab.core import markup
 from livlab.errors import ConfigError, InputError
 from livlab.model.tissue.elements import Cell, Element, Fibre, Mixture
 from livlab.model.tissue.layers import FlatLayer, Layer
-from livlab.model.tissue.readings import Part, Reading, options_of
+from livlab.model.tissue.readings import Reading, Subject, options_of
 from livlab.model.tissue.spectra import Index, Spec, names_of
 
 
@@ -140,7 +140,7 @@ class Tissue(Spec):
         (True, False)
         """
         elements = [e for layer in self.layers for e in layer.elements.values()]
-        parts: list[Part] = ["walk"]
+        parts: list[Subject] = ["walk"]
         parts += ["fibres"] if any(isinstance(e, Fibre) for e in elements) else []
         parts += ["cells"] if any(isinstance(e, Cell) for e in elements) else []
         parts += ["stand-ins"] if any(getattr(e, "replaces", "") for e in elements) else []

@@ -20,8 +20,8 @@ from livlab.errors import InputError
 from livlab.model.tissue.particles.sphere_series import (
     SMALL_MX,
     SMALL_X,
-    Coefficients,
     ComplexArray,
+    MieCoefficients,
     small_coefficients,
 )
 from livlab.model.tissue.phase.functions import Tabulated
@@ -185,15 +185,15 @@ def _is_small(index: ComplexArray, size: FloatArray) -> Any:
     return (size < SMALL_X) & (np.abs(index) * size < SMALL_MX)
 
 
-def _matched(m: complex, x: float) -> Coefficients:
+def _matched(m: complex, x: float) -> MieCoefficients:
     from livlab.model.tissue.particles.sphere_kernels import matched_coefficients
 
     contrast = complex(m - 1.0).conjugate()
     a, b = matched_coefficients(contrast, float(x))
-    return Coefficients(a[None, :], b[None, :], np.array([contrast]))
+    return MieCoefficients(a[None, :], b[None, :], np.array([contrast]))
 
 
-def _coefficients(m: complex, x: float) -> Coefficients:
+def _coefficients(m: complex, x: float) -> MieCoefficients:
     index, size = np.array([m]), np.array([x])
     if _is_small(index, size)[0]:
         return small_coefficients(np.conj(index), size)
@@ -201,10 +201,10 @@ def _coefficients(m: complex, x: float) -> Coefficients:
         return _matched(m, x)
     # miepython hands a_n and b_n out with the sign of exp(−iωt), whatever the sign of k.
     a, b = _miepython().an_bn(complex(m), float(x), 0)
-    return Coefficients(a[None, :], b[None, :], np.ones(1, dtype=np.complex128))
+    return MieCoefficients(a[None, :], b[None, :], np.ones(1, dtype=np.complex128))
 
 
-def _efficiencies(made: Coefficients, m: ComplexArray, x: FloatArray) -> FloatArray:
+def _efficiencies(made: MieCoefficients, m: ComplexArray, x: FloatArray) -> FloatArray:
     """Rows q_ext, q_sca, q_back, g from coefficients along the last axis."""
     a, b, scale = made
     n = np.arange(1, a.shape[-1] + 1)

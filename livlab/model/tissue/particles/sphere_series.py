@@ -23,7 +23,7 @@ _ORDERS = 6
 _POWERS = 14
 
 
-class Coefficients(NamedTuple):
+class MieCoefficients(NamedTuple):
     """Mie coefficients divided by a common factor: a_n = scale · a[…, n − 1], b_n alike.
 
     The factor is apart because it holds what would underflow (x³) or vanish (m² − 1).
@@ -34,7 +34,7 @@ class Coefficients(NamedTuple):
     scale: ComplexArray
 
 
-def small_coefficients(m: ComplexArray, x: FloatArray) -> Coefficients:
+def small_coefficients(m: ComplexArray, x: FloatArray) -> MieCoefficients:
     """Coefficients a_n, b_n, n = 1 … 6, for x < 0.1 and |m| x < 1 (Bohren & Huffman 1983, eqs. 4.56, 4.57).
 
     With t = x², ψ_n(x) = x^(n+1) f(t)/(2n+1)!!, ψ_n'(x) = xⁿ h(t)/(2n+1)!!, χ_n = (2n−1)!! x^(−n) k(t) and
@@ -52,7 +52,7 @@ def small_coefficients(m: ComplexArray, x: FloatArray) -> Coefficients:
 
     Returns
     -------
-    Coefficients
+    MieCoefficients
         a, b of shape (N, 6); scale (N,) is (m² − 1) x³.
     """
     contrast = (m - 1.0) * (m + 1.0)
@@ -86,4 +86,4 @@ def small_coefficients(m: ComplexArray, x: FloatArray) -> Coefficients:
         ):
             out[..., n - 1] = top / (scale * top - 1j * low)
         odd = next_odd
-    return Coefficients(a, b, scale)
+    return MieCoefficients(a, b, scale)

@@ -6,7 +6,7 @@ import pytest
 from livlab.errors import ConfigError, RangeError
 from livlab.model.tissue.presets import TissueSpec, load_preset
 from livlab.model.tissue.readings import READINGS, reading
-from livlab.model.tissue.spectra import Cauchy, Spectrum, Tabulated, refractive_index
+from livlab.model.tissue.spectra import AbsorptionSpectrum, Cauchy, DatasetIndex, refractive_index
 from livlab.model.tissue.table import COLUMNS, tissue_table
 from livlab.model.tissue.tissue import Tissue, override
 
@@ -142,8 +142,8 @@ def test_names_that_no_path_can_hold_are_refused(name):
 
 def test_the_first_dataset_that_covers_a_wavelength_is_used():
     notes = []
-    spectrum = Spectrum.model_validate({"datasets": ["water_pope_fry1997", "water_segelstein1981"]})
-    pope, segelstein = (Spectrum.model_validate(n) for n in spectrum.datasets)
+    spectrum = AbsorptionSpectrum.model_validate({"datasets": ["water_pope_fry1997", "water_segelstein1981"]})
+    pope, segelstein = (AbsorptionSpectrum.model_validate(n) for n in spectrum.datasets)
     mixed = spectrum.per_mm(np.array([900.0, 500.0, 727.5]), notes.append)
     assert mixed[0] == segelstein.per_mm(np.array([900.0]), notes.append)[0]
     assert mixed[1:].tolist() == pope.per_mm(np.array([500.0, 727.5]), notes.append).tolist()
@@ -154,8 +154,8 @@ def test_outside_every_range_is_an_error_or_a_noted_end():
     notes = []
     lipid = {"datasets": ["lipid_vanveen2004"]}
     with pytest.raises(RangeError, match=r"wavelength_nm = 420.*429–1098 nm.*hold"):
-        Spectrum.model_validate(lipid).per_mm(np.array([500.0, 420.0]), notes.append)
-    held = Spectrum.model_validate(lipid | {"outside": "hold"})
+        AbsorptionSpectrum.model_validate(lipid).per_mm(np.array([500.0, 420.0]), notes.append)
+    held = AbsorptionSpectrum.model_validate(lipid | {"outside": "hold"})
     values = held.per_mm(np.array([420.0, 429.0, 1098.0, 1200.0]), notes.append)
     assert values[0] == values[1]
     assert values[2] == values[3]
@@ -165,7 +165,7 @@ def test_outside_every_range_is_an_error_or_a_noted_end():
 
 def test_the_dispersion_formula_is_the_published_table():
     formula = Cauchy(kind="cauchy", coefficients=(1.3591, 0.00827, -0.000576), valid_nm=(450.0, 1551.0))
-    table = Tabulated(kind="dataset", dataset="liver_refractive_index_giannios2016")
+    table = DatasetIndex(kind="dataset", dataset="liver_refractive_index_giannios2016")
     wavelength = np.arange(450.0, 1551.0, 3.0)
     notes = []
     one, other = (refractive_index(x, wavelength, notes.append) for x in (formula, table))
