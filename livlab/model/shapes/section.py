@@ -155,7 +155,7 @@ def _without(mesh: TriangleMesh, planes: list[Plane], back_mm: float, name: str)
 
 def _beyond(planes: list[Plane], back_mm: float, reach_mm: float) -> Any:
     """What lies beyond all planes, each moved back by `back_mm`, within a cube of this edge about the origin."""
-    import manifold3d
+    import manifold3d  # type: ignore[import-not-found]
 
     made = manifold3d.Manifold.cube((reach_mm,) * 3, True)
     for plane in planes:
