@@ -35,9 +35,7 @@ def mi() -> Any:
 
 def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, ask: bool = True) -> tuple[float, float]:
     """Mean over the picture and its standard error; without asking, lamps are met by chance alone."""
-    tracer = Tracer(scene, body.stack.wavelength_nm, body)
-    if not ask:
-        tracer.kernel.peel = None
+    tracer = Tracer(scene, body.stack.wavelength_nm, body, next_event=ask)
     rows = spp // 16
     total, squares = tracer.launch(rows, 16, seed, 0)
     assert tracer.troubles["given_up"] == 0

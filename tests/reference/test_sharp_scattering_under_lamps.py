@@ -36,9 +36,7 @@ def coated(g: float) -> OpticalStack:
 
 def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, ask: bool = True) -> tuple[float, float]:
     """Mean over the picture and its standard error; without asking, lamps are met by chance alone."""
-    tracer = Tracer(scene, body.stack.wavelength_nm, body)
-    if not ask:
-        tracer.kernel.peel = None
+    tracer = Tracer(scene, body.stack.wavelength_nm, body, next_event=ask)
     total, squares = tracer.launch(spp, 1, seed, 0)
     value = total / spp
     variance = np.maximum(squares / spp - value**2, 0.0) / (spp - 1)

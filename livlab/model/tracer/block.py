@@ -94,8 +94,8 @@ class Block:
             rays=lambda d, mi: _rays(d, mi, view.source),
             shape=(1, PIXELS),
         )
-        t.kernel.fence = _fence(t, half, depth)
-        t.kernel.lights = _Sensor(t, view)
+        t.context.fence = _fence(t, half, depth)
+        t.context.lights = _Sensor(t, view)
 
     def launch(self, samples: int, seed: int, number: int) -> tuple[FloatArray, FloatArray, int, int]:
         """Follow about `samples` paths.

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
-
+from livlab.model.tracer.context import Context
 from livlab.model.tracer.medium import HEAD
+from livlab.model.tracer.next_event import Peel
 from livlab.model.tracer.state import ASK, END, MET, TURN, WALK, State
 from livlab.model.transport import rng as random
 from livlab.model.transport.walk import events
 
-if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Kernel
 
-
-def meet(kernel: Kernel, s: State) -> State:
+def meet(context: Context, peel: Peel | None, s: State) -> State:
     """Absorb or scatter the lanes that have come to a meeting."""
-    dr, mi, d, m = kernel.dr, kernel.mi, kernel.d, kernel.medium
+    dr, mi, d, m = context.dr, context.mi, context.d, context.medium
     assert m is not None
     ledger, now = s.ledger, s.meeting
     arrives, turns = s.pending == MET, s.pending == TURN
-    row = m.packet(m.meetings, now.layer * kernel.width + s.hero, m.meeting_stride)
+    row = m.packet(m.meetings, now.layer * context.width + s.hero, m.meeting_stride)
     albedo, below, base, base_short, lossy = row[:HEAD]
     code, g = row[HEAD + 1], row[HEAD + 2]
     if m.ways > 1:
-        v = random.uniform(d, s.stream.next_uint32())
+        v = context.uniform(s)
         for c in range(1, m.ways):
             later = v >= row[HEAD + 3 * (c - 1)]
             code = dr.select(later, row[HEAD + 3 * c + 1], code)
@@ -33,12 +29,12 @@ def meet(kernel: Kernel, s: State) -> State:
     if m.tabled:
         base = dr.select(short, base_short, base)
     gone = short & (base < 0.0)
-    if kernel.peel is not None:
+    if peel is not None:
         code, g, base = (
             dr.select(turns, a, b) for a, b in zip((now.code, now.g, now.base), (code, g, base), strict=True)
         )
-        chance = kernel.peel.chance(s, phase(kernel, now.layer, s.hero, code, g, base, arrives))
-        asks = arrives & ~gone & (random.uniform(d, s.stream.next_uint32()) < chance)
+        chance = peel.chance(s, m.phase(now.layer, s.hero, code, g, base, arrives))
+        asks = arrives & ~gone & (context.uniform(s) < chance)
         now.code, now.g, now.base, now.chance = code, g, base, chance
         s.pending = dr.select(asks, ASK, s.pending)
         arrives = arrives & ~asks
@@ -54,12 +50,12 @@ def meet(kernel: Kernel, s: State) -> State:
     survival = albedo
     if m.focused:
         focus = m.pick(now.layer, m.focus)
-        if kernel.analog:
-            factor = m.factor(now.layer, random.uniform(d, s.stream.next_uint32()))
+        if context.analog:
+            factor = m.factor(now.layer, context.uniform(s))
             ledger.common = dr.select(here, ledger.common * factor, ledger.common)
         else:
             survival = survival * focus
-    if kernel.forces:
+    if context.forces:
         forced = here & (ledger.forced == m.m.layers) & (lossy > 0.0) & (albedo > 0.0)
         ledger.forced = dr.select(forced, now.layer, ledger.forced)
         if m.focused:
@@ -78,26 +74,9 @@ def meet(kernel: Kernel, s: State) -> State:
         ledger.rows = [x + dr.select(add, y, 0.0) for x, y in zip(ledger.rows, found, strict=False)]
     if m.short:
         s.place.since = dr.select(here, 0.0, s.place.since)
-    if kernel.peel is not None:
-        s.covered = dr.select(lives, kernel.peel.farthest, s.covered)
-        if kernel.peel.shares.needed:
-            now.turned = dr.select(lives, kernel.peel.shares.density(now, w, lives), now.turned)
+    if peel is not None:
+        s.covered = dr.select(lives, peel.farthest, s.covered)
+        if peel.shares.needed:
+            now.turned = dr.select(lives, peel.shares.density(now, w, lives), now.turned)
     s.pending = dr.select(lives, mi.UInt32(WALK), dr.select(dead, END, s.pending))
     return s
-
-
-def phase(kernel: Kernel, layer: Any, hero: Any, code: Any, g: Any, base: Any, active: Any) -> Callable[[Any], Any]:
-    """Phase function of what was met, in 1/sr at w = 1 − cos θ, at the hero's wavelength."""
-    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
-    assert m is not None
-
-    def value(w: Any) -> Any:
-        found = m.log_phase(code, g, w)
-        if m.tabled:
-            tabled = base >= 0.0
-            rate = dr.gather(mi.Float, m.log_scattered, layer * m.m.padded + hero, active & tabled)
-            at = (mi.UInt32(dr.maximum(base, 0.0)) + mi.UInt32(m.cell(w))) * m.m.padded + hero
-            found = dr.select(tabled, dr.gather(mi.Float, m.rows, at, active & tabled) - rate, found)
-        return dr.exp(found)
-
-    return value

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from livlab.model.tracer.context import Context
 from livlab.model.tracer.state import WALK, State
 from livlab.model.tracer.surface import Hit
-from livlab.model.transport import rng as random
-
-if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Kernel
 
 MIRRORED = 0.2
 """Share of the camera's rays that the first surface mirrors."""
 
 
-def cross_layers(kernel: Kernel, s: State, barrier: Any) -> State:
+def cross_layers(context: Context, s: State, barrier: Any) -> State:
     """Reflect or refract at an interface between layers that the depth tells."""
-    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    dr, mi, m = context.dr, context.mi, context.medium
     assert m is not None
     place = s.place
     up = dr.dot(s.d, place.inward) < 0.0
     interface = dr.select(up, s.medium - 1, s.medium)
-    eta = _ratio(kernel, s, interface, up, barrier)
+    eta = _ratio(context, s, interface, up, barrier)
     cosine, bounced, bent = _turned(dr, s.d, -place.inward, eta)
     row = m.fresnel_row(interface, up, cosine)
     reflectance = dr.gather(mi.Float, m.reflectance, row * m.m.padded + s.hero, barrier)
-    reflects = random.uniform(kernel.d, s.stream.next_uint32()) < reflectance
+    reflects = context.uniform(s) < reflectance
     s.d = dr.select(barrier, dr.select(reflects, bounced, bent), s.d)
-    _enter(kernel, s, row, reflects, barrier, interface)
+    _enter(context, s, row, reflects, barrier, interface)
     s.medium = dr.select(barrier & ~reflects, dr.select(up, interface, interface + 1), s.medium)
     s.covered = dr.select(barrier & reflects, 0.0, s.covered)
     place.depth = dr.select(barrier, m.pick(interface, m.region_top), place.depth)
@@ -38,21 +35,21 @@ def cross_layers(kernel: Kernel, s: State, barrier: Any) -> State:
     return s
 
 
-def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any) -> State:
+def cross(context: Context, s: State, hit: Hit, enters: Any, exits: Any, lost: Any) -> State:
     """Reflect or refract at a surface that a ray has met; or leave where a path finds itself outside."""
-    dr, mi, m, place = kernel.dr, kernel.mi, kernel.medium, s.place
-    assert m is not None and kernel.flights is not None
+    dr, mi, m, place = context.dr, context.mi, context.medium, s.place
+    assert m is not None and context.flights is not None
     ledger = s.ledger
     exits = exits | lost
     any_ = enters | exits
     interface, upwards = mi.UInt32(0), exits
-    if kernel.interfaces > 1:
+    if context.interfaces > 1:
         interface = dr.select(lost, 0, hit.interface)
         upwards = exits & (~hit.outward | lost)
     # Where the normal was last looked up may be far, unless layers asked for it.
-    out = -place.inward if kernel.flights.layered else s.d
+    out = -place.inward if context.flights.layered else s.d
     normal = dr.select(lost, out, hit.normal)
-    eta = _ratio(kernel, s, interface, upwards, any_)
+    eta = _ratio(context, s, interface, upwards, any_)
     # A smoothed normal may send light to the wrong side of the surface: there the facet's own is taken.
     _, bounced, bent = _turned(dr, s.d, normal, eta)
     before = dr.dot(s.d, hit.facet)
@@ -66,7 +63,7 @@ def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any
     mirrored = dr.gather(mi.Float, m.reflectance, row * m.m.padded, first)
     if m.m.refracts[0]:
         mirrored = dr.maximum(mirrored, MIRRORED)
-    u = random.uniform(kernel.d, s.stream.next_uint32())
+    u = context.uniform(s)
     reflects = u < dr.select(first, mirrored, reflectance)
     s.d = dr.select(any_, dr.select(reflects, bounced, bent), s.d)
     chance = dr.rcp(dr.select(reflects, mirrored, 1.0 - mirrored))
@@ -75,40 +72,40 @@ def cross(kernel: Kernel, s: State, hit: Hit, enters: Any, exits: Any, lost: Any
     else:
         chance = chance * dr.select(reflects, reflectance, 1.0 - reflectance)
     ledger.common = dr.select(first, ledger.common * chance, ledger.common)
-    _enter(kernel, s, row, reflects, any_ & ~first, interface)
+    _enter(context, s, row, reflects, any_ & ~first, interface)
     through = any_ & ~reflects
     after = dr.select(upwards, interface, interface + 1)
     s.medium = dr.select(through, after, s.medium)
     s.covered = dr.select((any_ & reflects) | enters, 0.0, s.covered)
-    if kernel.objects is not None:
+    if context.others:
         s.bounce.density = dr.select(any_, 0.0, s.bounce.density)
-    if kernel.field:
+    if context.field:
         # At the surface its depth is known: nothing to look up.
         place.depth = dr.select(any_, 0.0, place.depth)
         place.inward = dr.select(any_, -normal, place.inward)
         # What is outside by rounding and mirrored there would be outside again.
-        s.p = dr.select(lost & reflects, dr.fma(kernel.nudge(s.p), place.inward, s.p), s.p)
-        place.trust = dr.select(any_, kernel.flights.patch, place.trust)
+        s.p = dr.select(lost & reflects, dr.fma(context.nudge(s.p), place.inward, s.p), s.p)
+        place.trust = dr.select(any_, context.flights.patch, place.trust)
         place.clear = dr.select(any_, 0.0, place.clear)
-    elif kernel.peel is not None:
+    elif context.next_event:
         place.inward = dr.select(any_ & ((interface == 0) | ~upwards), -normal, place.inward)
     if m.short:
         place.since = dr.select(any_, 0.0, place.since)
     return s
 
 
-def _ratio(kernel: Kernel, s: State, interface: Any, upwards: Any, active: Any) -> Any:
+def _ratio(context: Context, s: State, interface: Any, upwards: Any, active: Any) -> Any:
     """Index before an interface over that behind it."""
-    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    dr, mi, m = context.dr, context.mi, context.medium
     assert m is not None
-    above = dr.gather(mi.Float, m.index, interface * kernel.width + s.hero, active)
-    below = dr.gather(mi.Float, m.index, (interface + 1) * kernel.width + s.hero, active)
+    above = dr.gather(mi.Float, m.index, interface * context.width + s.hero, active)
+    below = dr.gather(mi.Float, m.index, (interface + 1) * context.width + s.hero, active)
     return dr.select(upwards, below * dr.rcp(above), above * dr.rcp(below))
 
 
-def _enter(kernel: Kernel, s: State, row: Any, reflects: Any, active: Any, interface: Any) -> None:
+def _enter(context: Context, s: State, row: Any, reflects: Any, active: Any, interface: Any) -> None:
     """Enter a choice of Fresnel's into the ledger where its chance differs by wavelength."""
-    dr, mi, m = kernel.dr, kernel.mi, kernel.medium
+    dr, mi, m = context.dr, context.mi, context.medium
     assert m is not None
     if m.vector and any(m.m.dispersive):
         add = active & m.pick(interface, [mi.Bool(x) for x in m.m.dispersive])

@@ -6,29 +6,26 @@ weighs light only once for several steps; it ends for a lane that needs either, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from livlab.model.tracer.collision import meet
+from livlab.model.tracer.context import Context
 from livlab.model.tracer.interface import cross_layers
+from livlab.model.tracer.next_event import Peel
 from livlab.model.tracer.state import BARRIER, CAST, END, LOST, MET, QUIET, WALK, State
 from livlab.model.transport import rng as random
-
-if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Kernel
 
 ROUNDS = 8
 """Steps after which the lanes of a vector look up from their walk."""
 
 
-def stroll(kernel: Kernel, s: State) -> State:
+def stroll(context: Context, peel: Peel | None, s: State) -> State:
     """Walk on inside, as long as nothing but the walk is needed."""
-    dr, mi = kernel.dr, kernel.mi
+    dr, mi = context.dr, context.mi
     rounds = dr.zeros(mi.UInt32, dr.width(s.row))
     most = dr.opaque(mi.UInt32, ROUNDS)
     walked: State = dr.while_loop(
         (s, rounds),
         lambda s, rounds: (s.pending <= QUIET) & (rounds < most),
-        lambda s, rounds: (_round(kernel, s), rounds + 1),
+        lambda s, rounds: (_round(context, peel, s), rounds + 1),
         labels=("s", "rounds"),
         label="stroll",
         mode="symbolic",
@@ -36,28 +33,28 @@ def stroll(kernel: Kernel, s: State) -> State:
     return walked
 
 
-def _round(kernel: Kernel, s: State) -> State:
-    dr, mi, flights = kernel.dr, kernel.mi, kernel.flights
+def _round(context: Context, peel: Peel | None, s: State) -> State:
+    dr, mi, flights = context.dr, context.mi, context.flights
     assert flights is not None
     if flights.layered:
-        s = cross_layers(kernel, s, s.pending == BARRIER)
+        s = cross_layers(context, s, s.pending == BARRIER)
     walks = s.pending == WALK
-    s.tau = random.exponential(kernel.d, s.stream.next_uint32())
+    s.tau = random.exponential(context.d, s.stream.next_uint32())
     flight = flights.fly(s)
     holds, casts, lost, path, place = flights.settle(s, flight, walks)
-    kernel.account(s, flight, path)
+    context.account(s, flight, path)
     s.place = place
     s.p = dr.fma(path, s.d, s.p)
     s.pending = dr.select(casts, CAST, s.pending)
     s.pending = dr.select(holds & flight.barrier, BARRIER, s.pending)
     arrives = holds & flight.meets
     s.meeting.layer = dr.select(arrives, flight.layer, s.meeting.layer)
-    if kernel.short:
+    if context.short:
         s.meeting.within = dr.select(arrives, flight.within, s.meeting.within)
     s.pending = dr.select(arrives, mi.UInt32(MET), s.pending)
     s.pending = dr.select(lost, LOST, s.pending)
-    if kernel.fence is not None:
-        s.pending = dr.select(walks & kernel.fence(s.p), END, s.pending)
-    s = meet(kernel, s)
+    if context.fence is not None:
+        s.pending = dr.select(walks & context.fence(s.p), END, s.pending)
+    s = meet(context, peel, s)
     s.steps = s.steps + 1
     return s

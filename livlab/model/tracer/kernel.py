@@ -6,18 +6,18 @@ reach the surface, reflects or refracts what came to an interface, and adds the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from livlab.model.tracer.flight import Flight, Flights
+from livlab.model.tracer.context import Context
+from livlab.model.tracer.flight import Flight
 from livlab.model.tracer.interface import cross
 from livlab.model.tracer.interior import stroll
-from livlab.model.tracer.lights import Lights
-from livlab.model.tracer.medium import NONE, Medium
+from livlab.model.tracer.medium import NONE
 from livlab.model.tracer.next_event import Asked, Peel
-from livlab.model.tracer.objects import Objects, others
+from livlab.model.tracer.objects import Objects
 from livlab.model.tracer.state import (
     ASK,
     BARRIER,
@@ -34,16 +34,8 @@ from livlab.model.tracer.state import (
     Place,
     State,
 )
-from livlab.model.tracer.surface import FAR, Hit, Surface
+from livlab.model.tracer.surface import FAR, Hit
 from livlab.model.transport import rng as random
-from livlab.model.transport.device import Device
-
-CREEP = 5e-7
-"""Step, as part of the coordinates, past a hit that cannot be one: the surface that a ray has just left. A float knows
-coordinates to 6e-8 of themselves."""
-
-GRAZING = 1e-3
-"""Least cosine with the surface that such a step is lengthened for."""
 
 
 @dataclass(frozen=True)
@@ -64,54 +56,19 @@ class Plan:
 
 
 class Kernel:
-    """Traces one step for a given scene; numbers are data, what the scene lacks leaves no code.
+    """Traces one step for a given scene; numbers are data, what the scene lacks leaves no code."""
 
-    Attributes
-    ----------
-    fence
-        Tells of a place inside whether a path ends there; None: nowhere.
-    """
-
-    def __init__(
-        self,
-        d: Device,
-        mi: Any,
-        scene: Any,
-        medium: Medium | None,
-        flights: Flights | None,
-        shapes: Sequence[Any],
-        lights: Lights,
-        camera: Callable[[Any, Any], tuple[Any, Any]],
-        size: float,
-        estimator: str,
-        max_steps: int,
-        within: bool = True,
-    ) -> None:
-        self.d, self.mi, self.dr, self.scene = d, mi, d.dr, scene
-        self.medium, self.flights, self.lights = medium, flights, lights
-        self.surface = Surface(d, mi, scene, shapes)
-        self.interfaces = len(shapes)
-        self.camera = camera
-        self.within = within
-        self.fence: Callable[[Any], Any] | None = None
-        self.max_steps = d.dr.opaque(mi.UInt32, max_steps)
-        self.least = d.dr.opaque(mi.Float, 0.01 * CREEP * size)
-        self.width = len(lights.wavelengths)
-        self.padded = lights.padded
-        self.analog = estimator == "analog"
-        self.peel = Peel(self, size) if medium is not None and lights.lamps else None
-        found = others(mi, scene, shapes)
-        self.objects = Objects(self, found) if found else None
-        self.forces = medium is not None and medium.lossy and not self.analog
-        self.short = medium is not None and medium.short
-        self.field = flights is not None and flights.field is not None
+    def __init__(self, context: Context) -> None:
+        self.context, self.mi, self.dr = context, context.mi, context.dr
+        self.peel = Peel(context) if context.next_event else None
+        self.objects = Objects(context) if context.others else None
 
     def start(self, stream: Any, n: int) -> State:
         """Lanes that are about to begin their first path."""
-        dr, mi, m = self.dr, self.mi, self.medium
+        dr, mi, m = self.dr, self.mi, self.context.medium
         zero, none = partial(dr.zeros, mi.Float, n), partial(dr.zeros, mi.UInt32, n)
-        place = Place((), (), (), (), zero() if self.short else ())
-        if self.field:
+        place = Place((), (), (), (), zero() if self.context.short else ())
+        if self.context.field:
             place = Place(zero(), dr.zeros(mi.Vector3f, n), zero(), zero(), place.since)
         elif self.peel is not None:
             place.inward = dr.zeros(mi.Vector3f, n)
@@ -121,13 +78,13 @@ class Kernel:
             tau = zero()
             ledger.lengths = [zero() for _ in range(m.m.layers)] if m.several else []
             ledger.counts = [zero() for _ in m.counted]
-            ledger.rows = [zero() for _ in range(self.width)] if m.vector else []
-            ledger.forced = none() if self.forces else ()
+            ledger.rows = [zero() for _ in range(self.context.width)] if m.vector else []
+            ledger.forced = none() if self.context.forces else ()
             ledger.first = none() if m.first else ()
             meeting.layer = none()
             meeting.within = zero() if m.short else ()
         if self.objects is not None:
-            ledger.carried = [zero() + 1.0 for _ in range(self.width)]
+            ledger.carried = [zero() + 1.0 for _ in range(self.context.width)]
         if self.peel is not None:
             turned = zero() if self.peel.shares.needed else ()
             meeting = Meeting(meeting.layer, meeting.within, zero(), zero(), zero(), zero(), turned)
@@ -150,7 +107,7 @@ class Kernel:
                 dr.full(mi.Bool, True, n),
                 zero(),
                 self.objects.start(n) if self.objects is not None else (),
-                [zero() for _ in range(self.width)],
+                [zero() for _ in range(self.context.width)],
                 none(),
                 none(),
             ),
@@ -159,12 +116,12 @@ class Kernel:
 
     def renew(self, s: State, done: Any) -> State:
         """A new ray of the camera in the lanes whose path has ended."""
-        dr, mi, m = self.dr, self.mi, self.medium
+        dr, mi, m = self.dr, self.mi, self.context.medium
         choose = partial(dr.select, done)
-        origin, direction = self.camera(s.stream, s.row)
-        if self.width > 1:
-            u = random.uniform(self.d, s.stream.next_uint32())
-            s.hero = choose(dr.minimum(mi.UInt32(u * self.width), self.width - 1), s.hero)
+        origin, direction = self.context.camera(s.stream, s.row)
+        if self.context.width > 1:
+            u = self.context.uniform(s)
+            s.hero = choose(dr.minimum(mi.UInt32(u * self.context.width), self.context.width - 1), s.hero)
         s.p, s.d = choose(origin, s.p), choose(direction, s.d)
         s.medium, s.steps, s.pending = choose(0, s.medium), choose(0, s.steps), choose(OUT, s.pending)
         s.fresh, s.covered = s.fresh | done, choose(0.0, s.covered)
@@ -177,14 +134,14 @@ class Kernel:
             ledger.lengths = [choose(0.0, x) for x in ledger.lengths]
             ledger.counts = [choose(0.0, x) for x in ledger.counts]
             ledger.rows = [choose(0.0, x) for x in ledger.rows]
-            ledger.forced = choose(m.m.layers, ledger.forced) if self.forces else ()
+            ledger.forced = choose(m.m.layers, ledger.forced) if self.context.forces else ()
             ledger.first = choose(NONE, ledger.first) if m.first else ()
         return s
 
     def trace(self, film: Any, plan: Plan, seed: int, number: int) -> Any:
         """Follow all samples of a plan; adds radiance to the film's rows and returns the lanes' troubles."""
         dr, mi = self.dr, self.mi
-        stream = random.streams(self.d, plan.lanes, seed, number)
+        stream = random.streams(self.context.d, plan.lanes, seed, number)
         self.rows, self.lanes, self.samples = (dr.opaque(mi.UInt32, n) for n in (plan.rows, plan.lanes, plan.samples))
         state = self.start(stream, plan.lanes)
         state = dr.while_loop(
@@ -203,26 +160,26 @@ class Kernel:
         dr, mi = self.dr, self.mi
         flight: Flight | None = None
         longest, cast = mi.Float(FAR), s.pending == OUT
-        if self.flights is not None:
-            s = stroll(self, s)
+        if self.context.flights is not None:
+            s = stroll(self.context, self.peel, s)
             cast = (s.pending == OUT) | (s.pending == CAST)
-            flight = self.flights.fly(s)
-            if self.flights.layered:
+            flight = self.context.flights.fly(s)
+            if self.context.flights.layered:
                 longest = dr.select(s.pending == OUT, longest, flight.reach)
         ray = mi.Ray3f(s.p, s.d)
         ray.maxt = longest
-        hit = self.surface.meet(ray, cast)
+        hit = self.context.surface.meet(ray, cast)
         out = s.pending == OUT
         met = out & hit.other
         shares = self.peel.shares.met(s) if self.peel is not None else None
-        seen = self.lights.seen(s, out & ~hit.valid, met, hit, shares)
+        seen = self.context.lights.seen(s, out & ~hit.valid, met, hit, shares)
         s.pending = dr.select(out & (~hit.valid | hit.other), END, s.pending)
         if self.objects is not None:
             share = self.objects.share(s, hit, out & (~hit.valid | hit.other))
             seen = [x * y * share for x, y in zip(seen, s.ledger.carried, strict=True)]
             lit, s = self.objects.meet(s, hit, met)
             seen = [x + y for x, y in zip(seen, lit, strict=True)]
-        if self.flights is not None and flight is not None:
+        if self.context.flights is not None and flight is not None:
             asks = s.pending == ASK
             asked = self.peel.ask(s, asks) if self.peel is not None else None
             self.weigh(s, seen, asked)
@@ -231,7 +188,7 @@ class Kernel:
         else:
             self.deposit(s, [s.ledger.common * x for x in seen])
         s.steps = s.steps + 1
-        late = (s.steps >= self.max_steps) & (s.pending != END)
+        late = (s.steps >= self.context.max_steps) & (s.pending != END)
         s.troubles = s.troubles + dr.select(late, mi.UInt32(1), 0)
         return self.next(s, film, late | (s.pending == END))
 
@@ -240,7 +197,7 @@ class Kernel:
         dr, mi = self.dr, self.mi
         turn = s.turn + dr.select(done, mi.UInt32(1), 0)
         over = turn >= self.samples
-        keep_row(mi, dr, film, s.light, s.row, self.padded, over)
+        keep_row(mi, dr, film, s.light, s.row, self.context.padded, over)
         s.light = [dr.select(over, 0.0, x) for x in s.light]
         s.turn = dr.select(over, 0, turn)
         s.row = s.row + dr.select(over, self.lanes, 0)
@@ -248,11 +205,11 @@ class Kernel:
 
     def arrive(self, s: State, flight: Flight, hit: Hit, outside: Any) -> State:
         """Take lanes to what their ray has met, or to the end of their flight, and across an interface there."""
-        dr, mi, flights = self.dr, self.mi, self.flights
+        dr, mi, flights = self.dr, self.mi, self.context.flights
         assert flights is not None
         inside, lost = s.pending == CAST, s.pending == LOST
         near = inside & hit.valid & (hit.t <= flight.reach)
-        exits = near & hit.body & self.leaves(s, hit)
+        exits = near & hit.body & self.context.leaves(s, hit)
         stray = near & ~exits
         # A ray from a point that rounding put on the surface may miss it: what then is outside has left there.
         missed, over = inside & ~hit.valid, mi.Float(0.0)
@@ -262,17 +219,17 @@ class Kernel:
             over = dr.select(missed, dr.maximum(-depth * dr.rcp(dr.minimum(flight.slope, -1e-6)), 0.0), 0.0)
         lost |= missed
         goes = inside & ~lost
-        creep = hit.t + self.creep(s.p, hit)
+        creep = hit.t + self.context.creep(s.p, hit)
         path = dr.select(exits, hit.t, dr.select(stray, dr.minimum(creep, flight.reach), flight.reach))
         path = dr.select(goes, path, over)
         whole = goes & ~near
         enters = outside & hit.body & hit.outward
         # A camera may stand inside; at a silhouette even one outside sees a facet's back.
-        begins = outside & hit.body & ~hit.outward & s.fresh & mi.Bool(self.within)
+        begins = outside & hit.body & ~hit.outward & s.fresh & mi.Bool(self.context.options.camera_within)
         passes = outside & hit.body & ~hit.outward & ~begins
-        self.account(s, flight, path)
+        self.context.account(s, flight, path)
         s.place = flights.moved(s.place, flight, path)
-        if self.field and not flights.layered:
+        if self.context.field and not flights.layered:
             s.place.trust = dr.select(inside, 0.0, s.place.trust)
         s.p = dr.fma(dr.select(passes, creep, path), s.d, s.p)
         s.p = dr.select(enters | exits, hit.p, s.p)
@@ -281,15 +238,15 @@ class Kernel:
         arrives = whole & flight.meets
         s.pending = dr.select(arrives, MET, s.pending)
         s.meeting.layer = dr.select(arrives, flight.layer, s.meeting.layer)
-        if self.short:
+        if self.context.short:
             s.meeting.within = dr.select(arrives, flight.within, s.meeting.within)
         s.pending = dr.select(whole & flight.barrier, BARRIER, s.pending)
-        s = cross(self, s, hit, enters, exits, lost)
-        if self.field:
+        s = cross(self.context, s, hit, enters, exits, lost)
+        if self.context.field:
             s.place.trust = dr.select(begins, 0.0, s.place.trust)
             s.place.clear = dr.select(begins, 0.0, s.place.clear)
-        if self.fence is not None:
-            s.pending = dr.select((enters | exits | lost | goes) & self.fence(s.p), END, s.pending)
+        if self.context.fence is not None:
+            s.pending = dr.select((enters | exits | lost | goes) & self.context.fence(s.p), END, s.pending)
             exits, lost = exits & (s.pending != END), lost & (s.pending != END)
         crossed = enters | exits | lost
         s.pending = dr.select(crossed, dr.select(s.medium == 0, mi.UInt32(OUT), WALK), s.pending)
@@ -299,41 +256,16 @@ class Kernel:
         s.troubles = s.troubles + dr.select(lost, mi.UInt32(1 << 16), 0)
         return s
 
-    def creep(self, p: Any, hit: Hit) -> Any:
-        """How far to go on from a hit that cannot be one: until rounding cannot have it in the way again."""
-        dr = self.dr
-        return self.nudge(p) * dr.rcp(dr.maximum(dr.abs(dr.dot(hit.facet, hit.ray.d)), GRAZING))
-
-    def nudge(self, p: Any) -> Any:
-        """More than a point can be off by rounding."""
-        dr = self.dr
-        return dr.fma(dr.maximum(dr.maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z)), CREEP, self.least)
-
-    def leaves(self, s: State, hit: Hit) -> Any:
-        """Whether a hit from inside is of an interface of the path's own region, from the right side."""
-        if self.interfaces == 1:
-            return ~hit.outward
-        region = s.medium - 1
-        return ((hit.interface == region) & ~hit.outward) | ((hit.interface == region + 1) & hit.outward)
-
     def begin(self) -> Any:
         """Region of a camera that stands inside: the innermost; a layer's is found at the first look."""
-        assert self.medium is not None
-        return self.mi.UInt32(len(self.medium.m.regions))
-
-    def account(self, s: State, flight: Flight, path: Any) -> None:
-        """Enter a step into the ledger."""
-        assert self.flights is not None and self.medium is not None
-        s.covered = s.covered - path
-        if self.medium.several:
-            parts = self.flights.lengths(flight, path)
-            s.ledger.lengths = [x + y for x, y in zip(s.ledger.lengths, parts, strict=True)]
+        assert self.context.medium is not None
+        return self.mi.UInt32(len(self.context.medium.m.regions))
 
     def weigh(self, s: State, seen: list[Any], asked: Asked | None) -> None:
         """Weigh what light was met, or reaches a meeting from a lamp, at every wavelength, and add it to the film."""
-        dr, m = self.dr, self.medium
+        dr, m = self.dr, self.context.medium
         assert m is not None
-        zero = [self.mi.Float(0.0)] * self.width
+        zero = [self.mi.Float(0.0)] * self.context.width
         if asked is None:
             weight = m.weights(s.ledger, zero, None, zero)
             value = seen

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any
 
@@ -126,6 +126,21 @@ class Medium:
             peaked = (1.0 - g) * (1.0 + g) / FOURPI * root * root * root
             value = dr.select(code == -1 - HENYEY_GREENSTEIN, peaked, value)
         return dr.log(dr.maximum(value, 1e-30)) if kinds != (ISOTROPIC,) else mi.Float(float(np.log(1.0 / FOURPI)))
+
+    def phase(self, layer: Any, hero: Any, code: Any, g: Any, base: Any, active: Any) -> Callable[[Any], Any]:
+        """Phase function of what was met, in 1/sr at w = 1 − cos θ, at the hero's wavelength."""
+        dr, mi, m = self.dr, self.mi, self.m
+
+        def value(w: Any) -> Any:
+            found = self.log_phase(code, g, w)
+            if self.tabled:
+                tabled = base >= 0.0
+                rate = dr.gather(mi.Float, self.log_scattered, layer * m.padded + hero, active & tabled)
+                at = (mi.UInt32(dr.maximum(base, 0.0)) + mi.UInt32(self.cell(w))) * m.padded + hero
+                found = dr.select(tabled, dr.gather(mi.Float, self.rows, at, active & tabled) - rate, found)
+            return dr.exp(found)
+
+        return value
 
     def factor(self, layer: Any, u: Any) -> Any:
         """Algorithm 2's factor at an azimuth, 2πu."""

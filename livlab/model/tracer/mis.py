@@ -10,15 +10,12 @@ they hang on which one leads the path.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from livlab.model.tracer.collision import phase
+from livlab.model.tracer.context import Context
 from livlab.model.tracer.state import Meeting, State
-
-if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Kernel
 
 
 class Shares:
@@ -30,32 +27,34 @@ class Shares:
         Whether there is such a lamp.
     """
 
-    def __init__(self, kernel: Kernel) -> None:
-        self.k, self.dr, self.mi = kernel, kernel.dr, kernel.mi
-        lights, one = kernel.lights, kernel.dr.opaque
+    def __init__(self, context: Context) -> None:
+        self.context, self.dr, self.mi = context, context.dr, context.mi
+        lights, one = context.lights, context.dr.opaque
         self.needed = bool(lights.surfaces)
         found = [self._extent(e) if e in lights.surfaces else 0.0 for e in lights.all]
-        self.of_light = kernel.d.load(self.mi.Float, found)
+        self.of_light = context.d.load(self.mi.Float, found)
         self.of_lamp = [one(self.mi.Float, found[lights.all.index(e)]) for e in lights.lamps]
-        self.leader = one(self.mi.UInt32, kernel.width // 2)
+        self.leader = one(self.mi.UInt32, context.width // 2)
 
     def _extent(self, lamp: Any) -> float:
         """Solid angle inside that a lamp fills, times the number of lamps of which one is asked for; roughly."""
-        shape, box = lamp.get_shape(), self.k.surface.shapes[0].bbox()
+        shape, box = lamp.get_shape(), self.context.surface.shapes[0].bbox()
         way = np.array(shape.bbox().center()).ravel() - np.array(box.center()).ravel()
         near = 0.5 * float(max(box.extents()))
         area = float(np.array(shape.surface_area()).ravel()[0])
         # Refraction narrows a solid angle to about half; a lamp around the body fills half of all directions.
-        return 0.5 * len(self.k.lights.lamps) * area / max(float(way @ way), near**2, area / 6.28)
+        return 0.5 * len(self.context.lights.lamps) * area / max(float(way @ way), near**2, area / 6.28)
 
     def density(self, now: Meeting, w: Any, active: Any) -> Any:
         """Density in 1/sr with which a meeting turns a path by w = 1 − cos θ."""
-        return phase(self.k, now.layer, self.leader, now.code, now.g, now.base, active)(w)
+        m = self.context.medium
+        assert m is not None
+        return m.phase(now.layer, self.leader, now.code, now.g, now.base, active)(w)
 
     def asked(self, s: State, w: Any, active: Any) -> Any:
         """Share of a lamp's light that counts where it is asked for."""
-        assert self.k.medium is not None
-        extent = self.k.medium.pick(s.aim.lamp, self.of_lamp)
+        assert self.context.medium is not None
+        extent = self.context.medium.pick(s.aim.lamp, self.of_lamp)
         return self.dr.rcp(1.0 + extent * self.density(s.meeting, w, active))
 
     def met(self, s: State) -> Callable[[Any], Any]:

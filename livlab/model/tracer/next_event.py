@@ -11,15 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from livlab.model.tracer.context import Context
 from livlab.model.tracer.mis import Shares
 from livlab.model.tracer.state import Aim, State
 from livlab.model.tracer.surface import Hit
-from livlab.model.transport import rng as random
-
-if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Kernel
 
 LIFT = 2e-5
 """Start of a shadow ray above the surface, as part of the body's size."""
@@ -78,12 +75,12 @@ class Way:
 class Peel:
     """Asks for lamps from inside a body."""
 
-    def __init__(self, kernel: Kernel, size: float) -> None:
-        self.k = kernel
-        self.dr, self.mi = kernel.dr, kernel.mi
-        lights, m = kernel.lights, kernel.medium
-        assert m is not None and kernel.flights is not None
-        self.m, self.lights, self.flights = m, lights, kernel.flights
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.dr, self.mi = context.dr, context.mi
+        lights, m, size = context.lights, context.medium, context.size
+        assert m is not None and context.flights is not None
+        self.m, self.lights, self.flights = m, lights, context.flights
         one = partial(self.dr.opaque, self.mi.Float)
         self.lift = one(LIFT * size)
         # A flat patch's surface is off by as much as the field is.
@@ -97,7 +94,7 @@ class Peel:
         self.farthest = one(FARTHEST * size)
         self.distant = [bool(mi.has_flag(e.flags(), mi.EmitterFlags.Infinite)) for e in lights.lamps]
         self.regions = len(m.m.regions)
-        self.shares = Shares(kernel)
+        self.shares = Shares(context)
 
     def bend(self, lamp: Any, normal: Any, eta: Any) -> tuple[Any, Any, Any]:
         """Direction inside of light from the lamp's direction, and both cosines."""
@@ -109,7 +106,7 @@ class Peel:
 
     def ratio(self, s: State, region: Any, active: Any) -> Any:
         """Index outside over that of a region."""
-        dr, mi, width = self.dr, self.mi, self.k.width
+        dr, mi, width = self.dr, self.mi, self.context.width
         outer = dr.gather(mi.Float, self.m.index, s.hero, active)
         return outer * dr.rcp(dr.gather(mi.Float, self.m.index, (region + 1) * width + s.hero, active))
 
@@ -118,13 +115,13 @@ class Peel:
 
         Were it chosen again after a lamp was asked for, the places that are asked for less would be met more often.
         """
-        dr, mi, lights, d = self.dr, self.mi, self.lights, self.k.d
+        dr, mi, lights = self.dr, self.mi, self.lights
         count = len(lights.lamps)
         chosen = dr.zeros(mi.UInt32, dr.width(s.row))
         if count > 1:
-            u = random.uniform(d, s.stream.next_uint32())
+            u = self.context.uniform(s)
             chosen = dr.minimum(mi.UInt32(u * count), count - 1)
-        sample = mi.Point2f(random.uniform(d, s.stream.next_uint32()), random.uniform(d, s.stream.next_uint32()))
+        sample = mi.Point2f(self.context.uniform(s), self.context.uniform(s))
         it = dr.zeros(mi.Interaction3f)
         it.p = s.p
         spot, distant = mi.Point3f(0.0), mi.Bool(False)
@@ -165,7 +162,7 @@ class Peel:
         count = float(len(lights.lamps))
         it = dr.zeros(mi.Interaction3f)
         it.p = y
-        strength = [mi.Float(0.0) for _ in range(self.k.width)]
+        strength = [mi.Float(0.0) for _ in range(self.context.width)]
         for k, lamp in enumerate(lights.lamps):
             here = active & (s.aim.lamp == k)
             found, ds = lights.arriving(lamp, it, s.aim.sample, here)
@@ -191,7 +188,7 @@ class Peel:
         lift = dr.select(way.hit.body & ~way.hit.outward, self.lift, self.lift_flat)
         ray = mi.Ray3f(way.y + way.normal * lift, way.lamp)
         ray.maxt = dr.select(distant, 1e30, (far - lift) * (1.0 - 1e-4))
-        good &= ~self.k.scene.ray_test(ray, good)
+        good &= ~self.context.scene.ray_test(ray, good)
         for r in range(self.regions):
             if m.m.refracts[r]:
                 passes = good & (region >= r)
@@ -217,7 +214,7 @@ class Peel:
             good,
             strength,
             [dr.select(good, x, 0.0) for x in way.legs],
-            [dr.select(good, x, 0.0) for x in extra[: self.k.width]],
+            [dr.select(good, x, 0.0) for x in extra[: self.context.width]],
             [dr.select(good, x, 0.0) for x in met],
         )
 
@@ -238,7 +235,7 @@ class Peel:
     def way(self, s: State, normal: Any, depth: Any, near: Any, eta: Any, goes: Any) -> Way:
         """Find where a lamp's light enters to come to a place inside."""
         dr, mi, m, aim = self.dr, self.mi, self.m, s.aim
-        if self.k.interfaces > 1:
+        if self.context.interfaces > 1:
             return self.through(s, normal, goes)
         field = self.flights.field
         deep, y = goes & ~near, s.p
@@ -251,11 +248,11 @@ class Peel:
             normal = dr.select(near, normal, -inward)
             blind = deep & (out <= 0.0)
         # Where the nearest surface looks away from the lamp, the straight line to it is what is known.
-        hit = self.k.surface.meet(mi.Ray3f(s.p, dr.select(out > 0.0, inside, lamp)), blind)
+        hit = self.context.surface.meet(mi.Ray3f(s.p, dr.select(out > 0.0, inside, lamp)), blind)
         y, normal = dr.select(hit.body, hit.p, y), dr.select(hit.body, hit.normal, normal)
         lamp = self.toward(aim, y)
         inside, out, cosine = self.bend(lamp, normal, eta)
-        hit = self.k.surface.meet(mi.Ray3f(s.p, inside), goes)
+        hit = self.context.surface.meet(mi.Ray3f(s.p, inside), goes)
         found = hit.body & ~hit.outward
         # Rounding may have left a place by the surface outside: there the depth is what is known.
         onto = deep | found
@@ -312,7 +309,7 @@ class Peel:
                     here &= out > 0.0
                 # Past the interface that the last leg ended at: rounding may have left it ahead.
                 past = dr.select(s.medium - 1 > r, self.lift, 0.0)
-                hit = self.k.surface.meet(mi.Ray3f(dr.fma(past, inside, y), inside), here)
+                hit = self.context.surface.meet(mi.Ray3f(dr.fma(past, inside, y), inside), here)
                 good &= ~here | (hit.body & ~hit.outward & (hit.interface == r))
                 if last_try:
                     good &= out > 0.0
@@ -330,7 +327,7 @@ class Peel:
         """Solid angle inside for one of the lamp's: of direction if it is distant, of area at it if not."""
         dr, mi = self.dr, self.mi
         n, lamp = way.normal, way.lamp
-        du, dv, turn_u, turn_v = self.k.surface.curvature(way.hit, active & ~near)
+        du, dv, turn_u, turn_v = self.context.surface.curvature(way.hit, active & ~near)
         c1 = dr.safe_sqrt(1.0 - (1.0 - c2 * c2) * dr.square(dr.rcp(eta)))
         along = lamp - n * c2
         length = dr.squared_norm(along)

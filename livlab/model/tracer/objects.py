@@ -6,20 +6,14 @@ random numbers; models choose directions alike at all wavelengths.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
+from livlab.model.tracer.context import Context
 from livlab.model.tracer.lights import GROUP, groups
 from livlab.model.tracer.state import OUT, State
 from livlab.model.tracer.surface import Hit
-from livlab.model.transport import rng as random
-
-if TYPE_CHECKING:
-    from livlab.model.tracer.kernel import Kernel
 
 KEPT = 0.95
 """Greatest chance with which a path goes on after an object."""
@@ -48,10 +42,9 @@ class Bounce:
 class Objects:
     """The surfaces of a scene that are no body's."""
 
-    def __init__(self, kernel: Kernel, shapes: Sequence[Any]) -> None:
-        self.k, self.mi, self.dr = kernel, kernel.mi, kernel.dr
-        self.shapes = list(shapes)
-        self.grid = groups(kernel.lights.grid)
+    def __init__(self, context: Context) -> None:
+        self.context, self.mi, self.dr = context, context.mi, context.dr
+        self.grid = groups(context.lights.grid)
 
     def start(self, n: int) -> Bounce:
         """No object met yet."""
@@ -60,7 +53,7 @@ class Objects:
 
     def share(self, s: State, hit: Hit, met: Any) -> Any:
         """Share of a light met that the last object did not ask for itself (balance heuristic, Veach 1997)."""
-        dr, mi, scene = self.dr, self.mi, self.k.scene
+        dr, mi, scene = self.dr, self.mi, self.context.scene
         bounce = s.bounce
         asked = met & (bounce.density > 0.0)
         si = hit.found.compute_surface_interaction(hit.ray, mi.RayFlags.All, asked)
@@ -72,11 +65,11 @@ class Objects:
 
     def meet(self, s: State, hit: Hit, met: Any) -> tuple[list[Any], State]:
         """Light that lamps send to an object and it to the path; and the path sent on from it."""
-        dr, mi, scene, d = self.dr, self.mi, self.k.scene, self.k.d
+        dr, mi, scene = self.dr, self.mi, self.context.scene
         context = mi.BSDFContext()
         si = hit.found.compute_surface_interaction(hit.ray, mi.RayFlags.All, met)
         bsdf = si.bsdf(hit.ray)
-        draw = partial(_uniform, d, s.stream)
+        draw = partial(self.context.uniform, s)
         lamp, lobe, place = mi.Point2f(draw(), draw()), draw(), mi.Point2f(draw(), draw())
         smooth = met & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         light: list[Any] = []
@@ -96,7 +89,7 @@ class Objects:
             light += [dr.select(visible, value[k] * arriving[k] * share, 0.0) for k in range(GROUP)]
             onward += [weight[k] for k in range(GROUP)]
             sent = sample if sent is None else sent
-        width = self.k.width
+        width = self.context.width
         ledger, bounce = s.ledger, s.bounce
         direction = si.to_world(sent.wo)
         ray = si.spawn_ray(direction)
@@ -120,27 +113,3 @@ class Objects:
         s.fresh, s.covered = s.fresh & ~met, dr.select(met, 0.0, s.covered)
         s.pending = dr.select(goes, mi.UInt32(OUT), s.pending)
         return value, s
-
-
-def _uniform(d: Any, stream: Any) -> Any:
-    return random.uniform(d, stream.next_uint32())
-
-
-def others(mi: Any, scene: Any, bodies: Sequence[Any]) -> list[Any]:
-    """Shapes that are no body's and not just a lamp's black surface."""
-    own = {s.id() for s in bodies}
-    return [s for s in scene.shapes() if s.id() not in own and not (s.is_emitter() and _black(mi, s))]
-
-
-def _black(mi: Any, shape: Any) -> bool:
-    """Whether a lamp's surface reflects nothing, as it does unless a scene says otherwise."""
-    import drjit as dr
-
-    bsdf = shape.bsdf()
-    if bsdf is None:
-        return True
-    if int(bsdf.flags()) & ~int(mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide):
-        return False
-    si = dr.zeros(mi.SurfaceInteraction3f)
-    si.wavelengths = mi.UnpolarizedSpectrum(450.0, 530.0, 610.0, 690.0)
-    return not bool((np.array(bsdf.eval_diffuse_reflectance(si)) > 0.0).any())

@@ -151,7 +151,7 @@ class _Sphere:
             shape=(1, rows),
         )
         t = self.tracer
-        t.kernel.lights = _Directions(t.d, t.mi, t.scene, t.wavelengths, t.padded)
+        t.context.lights = _Directions(t.d, t.mi, t.scene, t.wavelengths, t.padded)
 
     def run(self, seed: int, batch: int) -> NDArray[np.float32]:
         """(rows, padded) what each path's film holds."""

@@ -155,3 +155,21 @@ def _rows(mi: Any, shape: Any) -> tuple[Any, Any]:
     edges = np.zeros((len(faces), _EDGES), dtype=np.float32)
     edges[:, :3], edges[:, 3:6] = b - a, c - a
     return rows, edges
+
+
+def others(d: Device, mi: Any, scene: Any, bodies: Sequence[Any]) -> list[Any]:
+    """Shapes that are no body's and not just a lamp's black surface."""
+    own = {s.id() for s in bodies}
+    return [s for s in scene.shapes() if s.id() not in own and not (s.is_emitter() and _black(d, mi, s))]
+
+
+def _black(d: Device, mi: Any, shape: Any) -> bool:
+    """Whether a lamp's surface reflects nothing, as it does unless a scene says otherwise."""
+    bsdf = shape.bsdf()
+    if bsdf is None:
+        return True
+    if int(bsdf.flags()) & ~int(mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide):
+        return False
+    si = d.dr.zeros(mi.SurfaceInteraction3f)
+    si.wavelengths = mi.UnpolarizedSpectrum(450.0, 530.0, 610.0, 690.0)
+    return not bool((np.array(bsdf.eval_diffuse_reflectance(si)) > 0.0).any())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from livlab.errors import InputError
 from livlab.model.tracer.body import Body
+from livlab.model.tracer.context import Context, TracerOptions
 from livlab.model.tracer.field import Field
 from livlab.model.tracer.flight import Flights
 from livlab.model.tracer.kernel import Kernel, Plan
@@ -52,6 +53,8 @@ class Tracer:
         A spectral variant of Mitsuba.
     max_steps
         Steps after which a path is given up.
+    next_event
+        Whether scatterings in the tissue sample the lamps; if not, lamps are met by chance, points and beams never.
     rays, shape
         In place of a camera: what casts rays, and the rows and columns it casts them for.
 
@@ -74,6 +77,7 @@ class Tracer:
         estimator: str = "expected",
         variant: str = VARIANT,
         max_steps: int = 100_000,
+        next_event: bool = True,
         rays: Callable[[Device, Any], Rays] | None = None,
         shape: tuple[int, int] | None = None,
     ) -> None:
@@ -112,20 +116,19 @@ class Tracer:
         self.pixels = self.shape[0] * self.shape[1]
         within = body is not None and self._within(cast)
         pixels = dr.opaque(mi.UInt32, self.pixels)
-        self.kernel = Kernel(
+        self.context = Context(
             d,
             mi,
             self.scene,
-            self.medium,
-            self.flights,
-            self.shapes,
-            lights,
-            lambda stream, row: cast(stream, row % pixels),
-            size,
-            estimator,
-            max_steps,
-            within,
+            shapes=self.shapes,
+            medium=self.medium,
+            flights=self.flights,
+            lights=lights,
+            camera=lambda stream, row: cast(stream, row % pixels),
+            size=size,
+            options=TracerOptions(estimator, max_steps, within, next_event),
         )
+        self.kernel = Kernel(self.context)
         self.troubles = {"given_up": 0, "strayed": 0}
         self.seconds = self.compile_seconds = 0.0
 
@@ -202,8 +205,8 @@ class Tracer:
         dr, mi = self.dr, self.mi
         pixel = dr.arange(mi.UInt32, self.pixels)
         stream = _Middle(mi)
-        origin, direction = self.kernel.camera(stream, pixel)
-        hit = self.kernel.surface.meet(mi.Ray3f(origin, direction), mi.Bool(True))
+        origin, direction = self.context.camera(stream, pixel)
+        hit = self.context.surface.meet(mi.Ray3f(origin, direction), mi.Bool(True))
         return np.array(hit.body + dr.zeros(mi.UInt32, self.pixels)).astype(bool).reshape(self.shape)
 
     def _camera(self, sensor: int) -> tuple[tuple[int, int], Rays]:

@@ -27,7 +27,7 @@ def test_a_level_flight_comes_to_no_interface(slope: float) -> None:
     state.place.inward = mi.Vector3f(0.0, 0.0, -1.0) + dr.zeros(mi.Vector3f, 2)
     state.place.depth, state.place.trust, state.place.clear = depth, depth, depth
     state.tau = mi.Float([0.1, 0.1])
-    flight = kernel.flights.fly(state)
+    flight = tracer.flights.fly(state)
     assert not np.array(flight.barrier).any()
     np.testing.assert_allclose(np.array(flight.reach), 0.1 / 1.1, rtol=1e-5)
     assert np.array(flight.meets).all()
