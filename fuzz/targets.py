@@ -154,7 +154,7 @@ def _watched() -> Iterator[None]:
 
 def _experiment(path: Path) -> None:
     from livlab.config import load_experiment, to_toml
-    from livlab.kinds.execute import canonical
+    from livlab.runs.identity import canonical
 
     config = load_experiment(path).resolve()
     canonical(config)
@@ -264,8 +264,8 @@ def _ledger(path: Path) -> None:
 
 
 def _run(folder: Path) -> None:
-    from livlab.kinds.execute import is_complete, read_manifest
     from livlab.reports.folder import read_run
+    from livlab.runs.identity import is_complete, read_manifest
 
     read_manifest(folder)
     is_complete(folder)

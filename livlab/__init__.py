@@ -6,7 +6,6 @@
 """
 
 from importlib import import_module as _import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -29,12 +28,8 @@ if TYPE_CHECKING:
     from livlab.api.simulate import tissue as tissue
     from livlab.api.sources import read_spectrum as read_spectrum
     from livlab.api.sources import reference as reference
+    from livlab.machine.version import __version__ as __version__
     from livlab.model.tissue.readings import Reading as Reading
-
-try:
-    __version__ = version("livlab")
-except PackageNotFoundError:  # a source tree that nobody installed
-    __version__ = "0+uninstalled"
 
 # Imported when first asked for, so that `import livlab` costs nothing.
 _LAZY = {
@@ -47,6 +42,7 @@ _LAZY = {
     **dict.fromkeys(("RunResult", "open_run", "rerun", "run"), "livlab.api.running"),
     **dict.fromkeys(("spectrum", "tissue"), "livlab.api.simulate"),
     "Reading": "livlab.model.tissue.readings",
+    "__version__": "livlab.machine.version",
 }
 
 __all__ = [

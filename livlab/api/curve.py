@@ -236,7 +236,7 @@ class Spectrum:
         InputError
             livlab did not make this spectrum.
         """
-        from livlab.config import to_toml
+        from livlab.config.load import to_toml
 
         if self.experiment is None:
             raise InputError.of("spectrum", self.name, "was not simulated by livlab", "Use livlab.spectrum.")

@@ -12,7 +12,7 @@ from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
 from livlab.api.simulate import ENDLESS, Part, TissueLike, part, readings_of, tissue
 from livlab.api.sources import as_spectrum
-from livlab.config import check_experiment
+from livlab.config.load import check_experiment
 from livlab.core import markup
 from livlab.criteria import format_with_error
 from livlab.errors import InputError

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from livlab.api.arguments import explained
 from livlab.api.claims import Claims
 from livlab.api.curve import Spectrum
-from livlab.config import Experiment, check_experiment, load_experiment
+from livlab.config.load import check_experiment, load_experiment
+from livlab.config.schema import Experiment
 from livlab.core import markup
 from livlab.errors import InputError
 from livlab.runs.work import Progress, Silent

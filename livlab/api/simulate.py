@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
-from livlab.config import check_experiment
+from livlab.config.load import check_experiment
 from livlab.errors import InputError
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS, Reading
@@ -140,7 +140,7 @@ def spectrum(
     """
     from livlab.acquire.instruments.models import AddingDoublingSolver
     from livlab.acquire.instruments.spectrometer import measure
-    from livlab.kinds.spectral.job import reading_seed
+    from livlab.kinds.shared.seeds import reading_seed
     from livlab.model.tissue.optics import optical_stack
 
     config = spectral_experiment(

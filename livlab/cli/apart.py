@@ -105,7 +105,7 @@ def _child(send: Connection, one: Planned, base: Path, scheduler: str, quiet: bo
 
 def _run(one: Planned, base: Path, scheduler: str, quiet: bool) -> dict[str, Any]:
     from livlab.cli.progress import watched
-    from livlab.config import KINDS
+    from livlab.config.kinds import KINDS
     from livlab.kinds.execute import execute
 
     assert one.config is not None
@@ -126,6 +126,6 @@ def _run(one: Planned, base: Path, scheduler: str, quiet: bool) -> dict[str, Any
 
 def _named(path: Path) -> str:
     """How a user would name the file: livlab's own by its name, so that no machine's folder gets into a manifest."""
-    from livlab.config import builtin_experiments
+    from livlab.config.load import builtin_experiments
 
     return path.stem if builtin_experiments().get(path.stem) == path else str(path)

@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from livlab import __version__
 from livlab.cli import bench, brdf, cost, data, doctor, fractions, gallery, mesh, plan, rerun, run, stress, validate
 from livlab.errors import LivlabError
+from livlab.machine.version import __version__
 
 _REFUSED_BY_SYSTEM = {
     errno.ENOSPC: "Make room on the disk.",

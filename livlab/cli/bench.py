@@ -47,8 +47,8 @@ def bench(
 
 def _recorded(file: Path, wanted: str | None, standard_error: float) -> tuple[str, dict[str, Any]]:
     from livlab.cli.progress import watched
-    from livlab.config import load_experiment
     from livlab.config.errors import nearest
+    from livlab.config.load import load_experiment
     from livlab.kinds.spectral.config import SpectralExperiment
     from livlab.kinds.spectral.job import bench_of
 

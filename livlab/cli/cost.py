@@ -34,7 +34,7 @@ def cost(
     reading: Annotated[str, typer.Option("--reading", help="Which reading; the first if not said.")] = "",
 ) -> None:
     """Say what accuracy costs on an experiment's scene: error against time of every solver and sample count."""
-    from livlab.config import load_experiment
+    from livlab.config.load import load_experiment
     from livlab.kinds.checks.cost import cost as study
     from livlab.kinds.spectral.config import SpectralExperiment
     from livlab.model.tissue.optics import optical_stack
@@ -67,7 +67,7 @@ def cost(
 
 
 def _run_folder(experiment: SpectralExperiment) -> Path:
-    from livlab.kinds.execute import dataset_hashes, digest, folder_of
+    from livlab.runs.identity import dataset_hashes, digest, folder_of
 
     resolved = experiment.resolve()
     return folder_of(resolved, digest(resolved, dataset_hashes(resolved.datasets())), Path("runs"))
@@ -78,10 +78,11 @@ def _write(folder: Path, reading: str, rows: list[CostRow]) -> Path:
     from io import BytesIO
 
     from livlab.kinds.checks.cost import COLUMNS
-    from livlab.kinds.execute import read_manifest, rebuild_report
+    from livlab.kinds.execute import rebuild_report
     from livlab.reports.cost import cost_figure
     from livlab.reports.figures import style, svg
     from livlab.runs.files import csv_text, open_folder, write_whole
+    from livlab.runs.identity import read_manifest
 
     open_folder(folder.parent)
     open_folder(folder)

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from livlab import __version__
+from livlab.machine.version import __version__
 
 _STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "blocked": "bold red"}
 

@@ -54,7 +54,7 @@ def gallery(
 
 def finished(base: Path) -> list[Path]:
     """Complete picture runs under a folder, by name; of several of one name the latest."""
-    from livlab.kinds.execute import read_manifest
+    from livlab.runs.identity import read_manifest
 
     latest: dict[str, tuple[str, Path]] = {}
     for folder in sorted(base.iterdir()) if base.is_dir() else []:

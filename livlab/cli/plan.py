@@ -37,7 +37,7 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Say which effects an experiment's scenes call for: what each changes at most, and what leaving it out saves."""
-    from livlab.config import load_experiment
+    from livlab.config.load import load_experiment
     from livlab.kinds.spectral.config import SpectralExperiment
 
     experiment = load_experiment(file)

@@ -51,7 +51,8 @@ def run(
 ) -> None:
     """Run experiments: simulate, measure, compare, report. What is done already is found, not done again."""
     from livlab.cli.progress import watched
-    from livlab.config import KINDS, load_experiment
+    from livlab.config.kinds import KINDS
+    from livlab.config.load import load_experiment
     from livlab.kinds.execute import execute
 
     experiments = [(file, load_experiment(file)) for file in files]
@@ -92,7 +93,7 @@ def schema(
     out: Annotated[Path | None, typer.Option("--out", help="Write it to a file instead.")] = None,
 ) -> None:
     """Print the JSON Schema of experiment files, for editors that complete and check as one types."""
-    from livlab.config import json_schema
+    from livlab.config.load import json_schema
     from livlab.runs.files import write_whole
 
     text = json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
@@ -107,7 +108,8 @@ def report(
     folder: Annotated[Path, typer.Argument(help="A run folder, runs/NAME-DIGEST.", metavar="RUN")],
 ) -> None:
     """Build the report of a run folder again, from its files alone."""
-    from livlab.kinds.execute import read_manifest, rebuild_report
+    from livlab.kinds.execute import rebuild_report
+    from livlab.runs.identity import read_manifest
 
     if not folder.is_dir():
         raise ConfigError(f"{folder} is no run folder.", remedy="Name a folder that `livlab run` made.")
@@ -148,7 +150,7 @@ def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:
 
 def _say_why(console: Console, outcome: Outcome) -> None:
     """Why claims are MISSING, each reason once."""
-    from livlab.kinds.execute import read_manifest
+    from livlab.runs.identity import read_manifest
 
     missing = {claim["criterion"] for claim in outcome.claims if claim["verdict"] == "MISSING"}
     notes = read_manifest(outcome.folder).get("claim_notes")

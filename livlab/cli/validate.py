@@ -101,7 +101,7 @@ def validate(
 
 def _seconds(e: Ended) -> float:
     """What a run took when it ran, be it now or before."""
-    from livlab.kinds.execute import read_manifest
+    from livlab.runs.identity import read_manifest
 
     return float(read_manifest(e.folder).get("seconds", e.seconds)) if e.folder is not None else e.seconds
 

@@ -1,15 +1,8 @@
 """Experiment files: TOML, versioned; an unknown key is an error that names its path and the nearest known key."""
 
+from livlab.config.kinds import KINDS, Kind
 from livlab.config.load import (
-    KINDS,
     LARGEST_BYTES,
-    SCHEMA,
-    Experiment,
-    Kind,
-    Label,
-    Name,
-    Section,
-    Text,
     builtin_experiments,
     check_experiment,
     json_schema,
@@ -18,6 +11,7 @@ from livlab.config.load import (
     parse_experiment,
     to_toml,
 )
+from livlab.config.schema import SCHEMA, Experiment, Label, Name, Section, Text
 
 __all__ = [
     "KINDS",

@@ -1,99 +1,31 @@
 """Experiment files: TOML, versioned; an unknown key is an error that names its path and the nearest known key.
 
-What every experiment has (schema, kind, name, title, seed) lives here; what one kind has lives in its own module,
-named in `KINDS`. Nothing heavy is imported: a run that is already done must answer at once.
+What every experiment has (schema, kind, name, title, seed) lives in `livlab.config.schema`; what one kind has lives in
+its own folder, named in `livlab.config.kinds`. Nothing heavy is imported: a run that is already done must answer at
+once.
 """
 
 from __future__ import annotations
 
-import importlib
 import math
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Any
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import ValidationError
 from pydantic.json_schema import models_json_schema
 
 from livlab.config.errors import explain, nearest
+from livlab.config.kinds import KINDS
+from livlab.config.schema import SCHEMA, Experiment, S
 from livlab.core.toml_text import parse_toml
 from livlab.errors import ConfigError, briefly
 
-SCHEMA = 1
-"""Version of the experiment file's form that this livlab reads."""
-
 LARGEST_BYTES = 1 << 20
 """An experiment file is a page or two; a larger one is a mistake (a table named in place of a config, say)."""
-
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-Text = Annotated[str, StringConstraints(max_length=4000)]
-Label = Annotated[str, StringConstraints(pattern=r"^\S(.{0,78}\S)?$")]
-
-
-class Section(BaseModel):
-    """A table of an experiment file: no key it does not know, no nan, no value of another type."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True, populate_by_name=True)
-
-
-S = TypeVar("S", bound=Section)
-
-
-class Experiment(Section):
-    """What every experiment file says, whatever its kind."""
-
-    schema_version: Literal[1] = Field(alias="schema", description="Version of this form: 1.")
-    name: Name = Field(description="Names the run folder: letters, digits, '-' and '_', at most 64.")
-    title: Text = Field("", description="Heading of the report.")
-    description: Text = Field("", description="What the experiment is for; shown in the report.")
-    seed: int = Field(1, ge=0, lt=2**31, description="Seed of every random draw.")
-
-    def resolve(self) -> Self:
-        """The same experiment with every default, preset and name written out; resolving twice changes nothing."""
-        return self
-
-    def datasets(self) -> tuple[str, ...]:
-        """Names of the datasets whose content decides the result, sorted."""
-        return ()
-
-    def plain(self) -> dict[str, Any]:
-        """As TOML's own types, the keys that are unset left out."""
-        plain: dict[str, Any] = self.model_dump(mode="json", by_alias=True, exclude_none=True)
-        return plain
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Where one kind of experiment lives, as "module:attribute", imported on use, and whether it is made of jobs."""
-
-    model: str
-    job: str
-    jobs: bool = False
-
-    def load_model(self) -> type[Experiment]:
-        """The kind's pydantic model."""
-        return _attribute(self.model)  # type: ignore[no-any-return]
-
-    def load_job(self) -> Any:
-        """The kind's job: `prepare(config) -> work`, then `work(run) -> None`; `livlab.kinds.execute` calls both."""
-        return _attribute(self.job)
-
-
-KINDS: dict[str, Kind] = {
-    "brdf": Kind("livlab.kinds.brdf.config:BrdfExperiment", "livlab.kinds.brdf.job:prepare"),
-    "fit": Kind("livlab.kinds.fit.config:FitExperiment", "livlab.kinds.fit.job:prepare"),
-    "ladder": Kind("livlab.kinds.checks.config:LadderExperiment", "livlab.kinds.checks.job:prepare_ladder"),
-    "optics": Kind("livlab.kinds.optics.config:OpticsExperiment", "livlab.kinds.optics.job:prepare"),
-    "spectral": Kind("livlab.kinds.spectral.config:SpectralExperiment", "livlab.kinds.spectral.job:prepare"),
-    "picture": Kind("livlab.kinds.picture.config:PictureExperiment", "livlab.kinds.picture.job:prepare"),
-    "stress": Kind("livlab.kinds.checks.config:StressExperiment", "livlab.kinds.checks.job:prepare_stress"),
-    "study": Kind("livlab.kinds.study.config:StudyExperiment", "livlab.kinds.study.job:prepare", jobs=True),
-}
-"""Every kind of experiment that a file can ask for with `kind = "…"`."""
 
 
 def builtin_experiments() -> dict[str, Path]:
@@ -296,8 +228,3 @@ def _plain_floats(value: Any) -> Any:
     if isinstance(value, float) and value == 0.0 and math.copysign(1.0, value) < 0:
         return 0.0
     return value
-
-
-def _attribute(spec: str) -> Any:
-    module, _, name = spec.partition(":")
-    return getattr(importlib.import_module(module), name)

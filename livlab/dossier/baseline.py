@@ -9,12 +9,12 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from livlab import __version__
 from livlab.core.files import write_whole
 from livlab.criteria import read_claims
 from livlab.dossier.config import Unrecorded
 from livlab.dossier.validate import Ended
 from livlab.errors import ConfigError, InputError
+from livlab.machine.version import __version__
 
 SCHEMA = 1
 

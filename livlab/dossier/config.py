@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.config import Name, Section, Text, load_section
+from livlab.config.load import load_section
+from livlab.config.schema import Name, Section, Text
 from livlab.errors import InputError
 
 Figure = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,80}$")]
@@ -164,7 +165,7 @@ def builtin_dossier() -> Path:
     >>> builtin_dossier().name
     'dossier.toml'
     """
-    from livlab.config import builtin_experiments
+    from livlab.config.load import builtin_experiments
 
     return next(iter(builtin_experiments().values())).parent / "dossier" / "dossier.toml"
 

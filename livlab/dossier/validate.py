@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from livlab import __version__
-from livlab.config import Experiment, load_experiment
 from livlab.config.errors import nearest
+from livlab.config.load import load_experiment
+from livlab.config.schema import Experiment
 from livlab.dossier.config import Dossier
 from livlab.errors import ConfigError, EnvironmentProblem, Interrupted, LivlabError
+from livlab.machine.version import __version__
 
 REST = "rest"
 """Group of experiments that the dossier's file does not list."""
@@ -95,7 +96,7 @@ def planned(dossier: Dossier, file: Path, only: Sequence[str] = ()) -> list[Plan
 
 def found(config: Experiment, base: Path) -> Path | None:
     """The folder of this very experiment's finished run, or None."""
-    from livlab.kinds.execute import dataset_hashes, digest, folder_of, is_complete
+    from livlab.runs.identity import dataset_hashes, digest, folder_of, is_complete
 
     resolved = config.resolve()
     identity = digest(resolved, dataset_hashes(resolved.datasets()))

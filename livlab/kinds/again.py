@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from livlab.config import Experiment, parse_experiment
+from livlab.config.load import parse_experiment
+from livlab.config.schema import Experiment
 from livlab.core import markup
 from livlab.errors import DatasetError, InputError, LivlabError
-from livlab.kinds.execute import RESULT_VERSION, digest, execute, machine, read_manifest
+from livlab.kinds.execute import execute
 from livlab.runs.compare import FileVerdict, compare_file
 from livlab.runs.files import plain_file, sha256, write_whole
+from livlab.runs.identity import RESULT_VERSION, digest, machine, read_manifest
 from livlab.runs.work import Progress
 
 LARGEST_BYTES = 64 << 20
@@ -349,7 +351,7 @@ def _shown(value: Any) -> str:
 
 
 def _own_version() -> str:
-    from livlab import __version__
+    from livlab.machine.version import __version__
 
     return __version__
 

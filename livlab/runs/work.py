@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from livlab.config import Experiment
+from livlab.config.schema import Experiment
 from livlab.errors import Interrupted
 from livlab.runs.files import csv_text, sha256, told_plainly, write_whole
 

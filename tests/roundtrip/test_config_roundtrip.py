@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from livlab.config import parse_experiment, to_toml
-from livlab.kinds.execute import canonical, digest
+from livlab.runs.identity import canonical, digest
 
 SHARE = st.floats(0.0, 1.0)
 TEXT = st.text(st.characters(exclude_categories=("Cs", "Cc"), include_characters="\n\t"), max_size=40)

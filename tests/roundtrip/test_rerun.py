@@ -18,8 +18,9 @@ from livlab.cli import app
 from livlab.config import parse_experiment
 from livlab.errors import DatasetError, InputError
 from livlab.kinds.again import read_original, run_again
-from livlab.kinds.execute import execute, read_manifest
+from livlab.kinds.execute import execute
 from livlab.runs.compare import compare_file, timeless
+from livlab.runs.identity import read_manifest
 
 CONFIG = """\
 schema = 1

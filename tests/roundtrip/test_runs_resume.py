@@ -8,8 +8,9 @@ import pytest
 
 from livlab.config import parse_experiment
 from livlab.errors import Interrupted
-from livlab.kinds.execute import execute, read_manifest
+from livlab.kinds.execute import execute
 from livlab.runs.files import read_csv
+from livlab.runs.identity import read_manifest
 from livlab.runs.work import Silent
 
 WALK = """\

@@ -15,6 +15,7 @@ from livlab.config import load_experiment
 from livlab.errors import ConfigError, LivlabError
 from livlab.kinds import execute as runs
 from livlab.model.shapes import box
+from livlab.runs import identity as identity_of
 
 CONFIG = """\
 schema = 1
@@ -154,18 +155,18 @@ def test_no_traceback_whatever_the_file(place: Path, content: bytes) -> None:
 )
 def test_a_manifest_that_lies(place: Path, manifest: dict[str, object], status: str) -> None:
     config = load_experiment(place / "odd.toml").resolve()
-    identity = runs.digest(config, runs.dataset_hashes(config.datasets()))
-    folder = runs.folder_of(config, identity, place / "runs")
+    identity = identity_of.digest(config, identity_of.dataset_hashes(config.datasets()))
+    folder = identity_of.folder_of(config, identity, place / "runs")
     folder.mkdir(parents=True)
     text = json.dumps({"digest": identity, "status": status, "kind": "spectral", **manifest})
     (folder / "manifest.json").write_text(text, encoding="utf-8")
-    assert not runs.is_complete(folder, identity)
+    assert not identity_of.is_complete(folder, identity)
     (folder / "config.toml").write_text(CONFIG, encoding="utf-8")
     try:
         runs.rebuild_report(folder)
     except LivlabError as error:
         assert error.remedy
     assert runs.execute(config, base=place / "runs", report=False).folder == folder
-    assert runs.is_complete(folder, identity)
-    again = runs.read_manifest(folder)
+    assert identity_of.is_complete(folder, identity)
+    again = identity_of.read_manifest(folder)
     assert 0 <= again["seconds"] < 300

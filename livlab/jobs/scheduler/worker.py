@@ -14,17 +14,17 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from livlab import __version__
 from livlab.errors import EnvironmentProblem, LivlabError
 from livlab.jobs.jobs import ANSWER_VERSION, Job, run_job
 from livlab.machine.llvm import THREADS
+from livlab.machine.version import __version__
 
 _SETTLED = "LIVLAB_THREADS_SETTLED"
 
 
 def versions() -> dict[str, Any]:
     """What must agree between client and worker for their numbers to agree."""
-    from livlab.kinds.execute import RESULT_VERSION
+    from livlab.runs.identity import RESULT_VERSION
 
     return {"livlab": __version__, "result": RESULT_VERSION, "answer": ANSWER_VERSION}
 

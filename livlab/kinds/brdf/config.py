@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.config import Experiment, Label, Section
 from livlab.config.errors import nearest
+from livlab.config.schema import Experiment, Label, Section
 from livlab.errors import InputError
-from livlab.kinds.spectral.config import Wavelengths
+from livlab.kinds.shared.sections import Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading, ReadingName
 

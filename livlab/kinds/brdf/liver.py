@@ -18,7 +18,7 @@ from livlab.kinds.brdf.config import BrdfExperiment
 from livlab.kinds.brdf.cuts import Cut, at_angles, flat_cut, half_angle_map, sphere_cut
 from livlab.kinds.brdf.materials import COSTS
 from livlab.kinds.brdf.pictures import sheet
-from livlab.kinds.spectral.job import reading_seed
+from livlab.kinds.shared.seeds import reading_seed
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
@@ -294,7 +294,7 @@ def _write(
     costs: list[dict[str, object]],
     tables: dict[str, list[dict[str, object]]],
 ) -> None:
-    from livlab.kinds.spectral import tables as spectral_tables
+    from livlab.kinds.shared import tissue_tables
 
     readings = config.all_readings
     names = xr.DataArray(list(seen), dims="reading", name="reading")
@@ -311,9 +311,9 @@ def _write(
         "cuts.csv": (CUTS, tables["cuts"]),
         "radii.csv": (RADII, tables["radii"]),
         "costs.csv": (COSTS, costs),
-        "tissue.csv": spectral_tables.tissue(tissue, readings),
-        "readings.csv": spectral_tables.readings(readings, tissue),
-        "provenance.csv": spectral_tables.provenance(tissue, readings, grid, []),
+        "tissue.csv": tissue_tables.tissue(tissue, readings),
+        "readings.csv": tissue_tables.readings(readings, tissue),
+        "provenance.csv": tissue_tables.provenance(tissue, readings, grid, []),
     }.items():
         run.write_table(name, columns, rows)
     if config.fit is not None:

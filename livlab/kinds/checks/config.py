@@ -9,8 +9,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from livlab.acquire.instruments.models import HyperspectralCamera, Instrument
-from livlab.config import Experiment, Text
-from livlab.kinds.spectral.config import Wavelengths
+from livlab.config.schema import Experiment, Text
+from livlab.kinds.shared.sections import Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading
 

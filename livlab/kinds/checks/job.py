@@ -88,7 +88,7 @@ def prepare_ladder(config: LadderExperiment) -> Callable[[Run], None]:
 
 def _ladder(run: Run, config: LadderExperiment, stack: OpticalStack) -> None:
     from livlab.kinds.checks.cost import COLUMNS, cost
-    from livlab.kinds.spectral import tables as spectral_tables
+    from livlab.kinds.shared import tissue_tables
 
     run.info |= {"variant": config.variant}
     run.progress.begin(["solvers"])
@@ -112,8 +112,8 @@ def _ladder(run: Run, config: LadderExperiment, stack: OpticalStack) -> None:
     run.write_table("cost.csv", ("reading", *COLUMNS), [{"reading": name, **asdict(r)} for r in rows])
     run.write_table("costs.csv", ("stage", "seconds"), [{"stage": "every solver", "seconds": spent}])
     tissue, grid = config.tissue.build(), config.wavelengths.grid()
-    run.write_table("tissue.csv", *spectral_tables.tissue(tissue, (config.reading,)))
-    run.write_table("provenance.csv", *spectral_tables.provenance(tissue, (config.reading,), grid, ()))
+    run.write_table("tissue.csv", *tissue_tables.tissue(tissue, (config.reading,)))
+    run.write_table("provenance.csv", *tissue_tables.provenance(tissue, (config.reading,), grid, ()))
     claims = ladder_claims(rows, config.within)
     run.write_claims(claims)
     run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}

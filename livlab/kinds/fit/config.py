@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from livlab.acquire.instruments.models import HyperspectralCamera, Instrument
-from livlab.config import Experiment, Label, Section, Text
 from livlab.config.errors import nearest
+from livlab.config.schema import Experiment, Label, Section, Text
 from livlab.errors import InputError, LivlabError
-from livlab.kinds.spectral.config import Wavelength, Wavelengths
+from livlab.kinds.shared.sections import Wavelength, Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading
 from livlab.optimise.algorithms import ALGORITHMS

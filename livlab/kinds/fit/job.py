@@ -16,9 +16,9 @@ from livlab.kinds.fit import tables
 from livlab.kinds.fit.config import FitExperiment, Measurement
 from livlab.kinds.fit.round_trip import SEEDS, Trip, round_trip
 from livlab.kinds.fit.setup import Curve, FitSetup
-from livlab.kinds.spectral import tables as spectral_tables
-from livlab.kinds.spectral.claims import Known, load_reference
-from livlab.kinds.spectral.config import Reference
+from livlab.kinds.shared import tissue_tables
+from livlab.kinds.shared.references import Known, load_reference
+from livlab.kinds.shared.sections import Reference
 from livlab.machine.gpu import name_device
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def _work(run: Run, setup: FitSetup, known: Sequence[Known]) -> None:
     run.write_table("costs.csv", tables.COSTS, tables.costs(config.reading.name, found, forward, best))
     run.write_table("recordings.csv", tuple(forward.recordings[0]), forward.recordings)
     tissue, reading = config.tissue.build(), (config.reading,)
-    run.write_table("tissue.csv", *spectral_tables.tissue(tissue, reading))
-    run.write_table("provenance.csv", *spectral_tables.provenance(tissue, reading, config.wavelengths.grid(), known))
+    run.write_table("tissue.csv", *tissue_tables.tissue(tissue, reading))
+    run.write_table("provenance.csv", *tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), known))
     if config.bench:
         run.write("bench.json", json.dumps(_bench(setup, found), separators=(",", ":"), allow_nan=False))
     trips = _round_trips(run, setup) if config.round_trip is not None else []

@@ -21,7 +21,7 @@ from livlab.optimise import ParameterSpace
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
-    from livlab.kinds.spectral.claims import Known
+    from livlab.kinds.shared.references import Known
 
 
 @dataclass(frozen=True, eq=False)

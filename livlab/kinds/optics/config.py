@@ -10,10 +10,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.config import Experiment, Label, Section, Text
 from livlab.config.errors import nearest
+from livlab.config.schema import Experiment, Label, Section, Text
 from livlab.errors import InputError
-from livlab.kinds.spectral.config import Wavelength, Wavelengths
+from livlab.kinds.shared.sections import Wavelength, Wavelengths
 
 Refractive = Annotated[float, Field(gt=0.1, lt=10.0)]
 Radius = Annotated[float, Field(gt=0, lt=100.0)]

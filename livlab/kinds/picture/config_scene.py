@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.config import Label, Section
+from livlab.config.schema import Label, Section
 from livlab.core.files import readable
 from livlab.errors import ConfigError, InputError
 

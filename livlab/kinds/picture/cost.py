@@ -10,7 +10,7 @@ from livlab.effects.config import EffectsConfig
 from livlab.kinds.picture.config import PictureExperiment
 from livlab.kinds.picture.film import Film
 from livlab.kinds.picture.plan import plan_picture
-from livlab.kinds.spectral.job import reading_seed
+from livlab.kinds.shared.seeds import reading_seed
 from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
 

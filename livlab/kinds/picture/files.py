@@ -11,7 +11,7 @@ import xarray as xr
 from livlab.kinds.picture import tables
 from livlab.kinds.picture.claims import Key, Seen
 from livlab.kinds.picture.film import Film
-from livlab.kinds.spectral import tables as spectral_tables
+from livlab.kinds.shared import tissue_tables
 from livlab.model.colour import CHANNEL_CENTRES_NM, write_exr, write_png
 from livlab.units import FloatArray
 
@@ -83,9 +83,9 @@ def write_tables(run: Run, work: Work, films: Mapping[Key, Film], pictures: Mapp
         "absorption.csv": tables.absorption(work.curves),
         "optics.csv": tables.optics(work.stacks, CHANNEL_CENTRES_NM),
         "convergence.csv": tables.convergence(films),
-        "tissue.csv": spectral_tables.tissue(own, readings),
-        "readings.csv": spectral_tables.readings(readings, own, *(c.tissue.build() for c in config.compared)),
-        "provenance.csv": spectral_tables.provenance(own, readings, work.grid, ()),
+        "tissue.csv": tissue_tables.tissue(own, readings),
+        "readings.csv": tissue_tables.readings(readings, own, *(c.tissue.build() for c in config.compared)),
+        "provenance.csv": tissue_tables.provenance(own, readings, work.grid, ()),
         "costs.csv": (tables.COSTS, work.costs),
     }
     if lit.any():

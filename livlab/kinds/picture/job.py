@@ -17,7 +17,7 @@ from livlab.kinds.picture.config import PictureExperiment
 from livlab.kinds.picture.files import label, preview, write_pictures, write_tables
 from livlab.kinds.picture.film import Film
 from livlab.kinds.picture.plan import PicturePlan, plan_picture
-from livlab.kinds.spectral.job import reading_seed
+from livlab.kinds.shared.seeds import reading_seed
 from livlab.machine.gpu import name_device
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Callable
@@ -14,12 +13,14 @@ import xarray as xr
 from livlab.acquire.instruments.models import AddingDoublingSolver, AutoSolver, Instrument, TracerSolver, WalkSolver
 from livlab.acquire.instruments.spectrometer import Progress, measure
 from livlab.criteria import Claim
+from livlab.kinds.shared import tissue_tables
+from livlab.kinds.shared.references import Known, load_reference
+from livlab.kinds.shared.seeds import reading_seed
 from livlab.kinds.spectral import tables
-from livlab.kinds.spectral.claims import Known, judge, load_reference, points, processed, shown
+from livlab.kinds.spectral.claims import judge, points, processed, shown
 from livlab.kinds.spectral.config import SpectralExperiment
 from livlab.machine.gpu import name_device
 from livlab.model.tissue.optics import optical_stack, stack_coefficients
-from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue
 
@@ -231,15 +232,6 @@ def _measured(
     return done
 
 
-def reading_seed(seed: int, reading: str) -> int:
-    """Seed of a reading's walk: independent between readings, and the same whatever other readings there are.
-
-    >>> reading_seed(1, "thesis") != reading_seed(1, "measured")
-    True
-    """
-    return int.from_bytes(hashlib.sha256(f"{seed}:{reading}".encode()).digest()[:4], "big") >> 1
-
-
 def _note(run: Run, pieces: dict[str, xr.Dataset]) -> None:
     """Warnings of the stacks and instruments; one that several readings share is said once."""
     by_text: dict[str, list[str]] = {}
@@ -270,11 +262,11 @@ def _write(
         "curves.csv": tables.curves(result),
         "coefficients.csv": tables.coefficients(coefficients),
         "budget.csv": tables.budget(pieces),
-        "tissue.csv": tables.tissue(tissue, readings),
-        "readings.csv": tables.readings(readings, tissue),
-        "provenance.csv": tables.provenance(tissue, readings, config.wavelengths.grid(), references),
+        "tissue.csv": tissue_tables.tissue(tissue, readings),
+        "readings.csv": tissue_tables.readings(readings, tissue),
+        "provenance.csv": tissue_tables.provenance(tissue, readings, config.wavelengths.grid(), references),
         "metrics.csv": (tables.METRICS, metrics),
-        "costs.csv": (tables.COSTS, costs),
+        "costs.csv": (tissue_tables.COSTS, costs),
         "convergence.csv": tables.convergence(pieces),
     }.items():
         run.write_table(name, columns, rows)
@@ -344,4 +336,4 @@ def _stacked(parts: dict[str, xr.Dataset]) -> xr.Dataset:
     )  # fmt: skip
 
 
-__all__ = ["Reading", "bench_of", "prepare", "reading_seed"]
+__all__ = ["bench_of", "prepare"]

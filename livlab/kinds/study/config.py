@@ -13,10 +13,10 @@ from livlab.acquire.instruments.models import (
     Instrument,
     WalkSolver,
 )
-from livlab.config import Experiment
 from livlab.config.errors import nearest
+from livlab.config.schema import Experiment
 from livlab.errors import InputError, LivlabError
-from livlab.kinds.spectral.config import Reference, Wavelengths
+from livlab.kinds.shared.sections import Reference, Wavelengths
 from livlab.kinds.study.config_parts import Ablation, Factor, LedgerSolver, Output, Sensitivity, StudyCriterion, Sweep
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.config import Label, Section, Text
+from livlab.config.schema import Label, Section, Text
 from livlab.errors import InputError
-from livlab.kinds.spectral.config import Wavelength
+from livlab.kinds.shared.sections import Wavelength
 from livlab.model.tissue.readings import ReadingName
 
 if TYPE_CHECKING:

@@ -37,7 +37,7 @@ def prepare(config: StudyExperiment) -> Callable[[Run], None]:
     DatasetError, RangeError
         A dataset that is damaged, or does not reach.
     """
-    from livlab.kinds.execute import dataset_hashes
+    from livlab.runs.identity import dataset_hashes
 
     grid = config.wavelengths.grid()
     outputs = Outputs(config.output, config.reference, grid, config.normalise, config.seed)
@@ -256,13 +256,13 @@ def _claim(c: Any, value: float | None, error: float, reason: str, seconds: floa
 
 
 def _finish(run: Run, config: StudyExperiment, outputs: Outputs, claims: Sequence[Claim]) -> None:
-    from livlab.kinds.spectral import tables as spectral_tables
+    from livlab.kinds.shared import tissue_tables
 
     tissue, reading = config.tissue.build(), (config.reading,)
     run.write_table("factors.csv", *tables.factors(config))
-    run.write_table("tissue.csv", *spectral_tables.tissue(tissue, reading))
+    run.write_table("tissue.csv", *tissue_tables.tissue(tissue, reading))
     run.write_table(
-        "provenance.csv", *spectral_tables.provenance(tissue, reading, config.wavelengths.grid(), outputs.known)
+        "provenance.csv", *tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), outputs.known)
     )
     run.write_claims(claims)
     run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}

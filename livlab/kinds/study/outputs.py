@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from livlab.errors import InputError, LivlabError
-from livlab.kinds.spectral.claims import Known, load_reference
-from livlab.kinds.spectral.config import Reference
+from livlab.kinds.shared.references import Known, load_reference
+from livlab.kinds.shared.sections import Reference
 from livlab.kinds.study.config_parts import COLOUR, COMPARING, Output
 from livlab.metrics import (
     Normalisation,

@@ -132,7 +132,7 @@ def spectrum_job(
     without: Sequence[str] = (),
 ) -> Job:
     """The job of one curve; a walk's seed follows from the experiment's and from `key`."""
-    from livlab.kinds.spectral.job import reading_seed
+    from livlab.kinds.shared.seeds import reading_seed
 
     head = {p: v for p, v in point.items() if p.partition(".")[0] in ("reading", "instrument")}
     made = base.at(head)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from livlab.cli import app
 from livlab.cli.progress import PlainProgress, watched
 from livlab.errors import ConfigError, LivlabError
-from livlab.kinds.execute import read_manifest
+from livlab.runs.identity import read_manifest
 from livlab.runs.work import Silent
 
 SMALL = """\

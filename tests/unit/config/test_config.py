@@ -14,8 +14,8 @@ import pytest
 
 from livlab.config import KINDS, LARGEST_BYTES, json_schema, load_experiment, parse_experiment, to_toml
 from livlab.errors import ConfigError
-from livlab.kinds.execute import canonical
 from livlab.kinds.spectral.config import SpectralExperiment
+from livlab.runs.identity import canonical
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -11,8 +11,8 @@ import livlab
 from livlab.datasets.add import add
 from livlab.datasets.draft import read_draft
 from livlab.errors import InputError
-from livlab.kinds.spectral.claims import load_reference
-from livlab.kinds.spectral.config import Reference
+from livlab.kinds.shared.references import load_reference
+from livlab.kinds.shared.sections import Reference
 
 ROWS = "500,2.5\n510,3\n520,12.5\n"
 OCEAN = (

@@ -19,8 +19,8 @@ from livlab.errors import ConfigError, InputError
 from livlab.kinds.execute import execute
 from livlab.kinds.picture.report_words import above, last_layer
 from livlab.kinds.picture.scene import nested_stack
+from livlab.kinds.shared.tissue_tables import readings
 from livlab.kinds.spectral.bench import bench_data
-from livlab.kinds.spectral.tables import readings
 from livlab.model.tissue.optics import coefficients, optical_stack
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS, rows

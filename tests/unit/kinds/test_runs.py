@@ -20,7 +20,9 @@ from livlab.config import Experiment, Kind, to_toml
 from livlab.criteria import Claim
 from livlab.errors import EnvironmentProblem, Interrupted
 from livlab.kinds import execute as runs
-from livlab.kinds.execute import digest, execute, is_complete, read_manifest
+from livlab.kinds.execute import execute
+from livlab.runs import identity
+from livlab.runs.identity import digest, is_complete, read_manifest
 from livlab.runs.work import Run
 
 DONE: list[str] = []
@@ -114,7 +116,7 @@ def test_the_digest_counts_datasets_and_the_result_version(monkeypatch: pytest.M
     config = sums()
     known = {digest(config, {}), digest(config, {"a": "1"}), digest(config, {"a": "2"}), digest(config, {"b": "1"})}
     assert digest(config, {"a": "1", "b": "2"}) == digest(config, {"b": "2", "a": "1"})
-    monkeypatch.setattr(runs, "RESULT_VERSION", runs.RESULT_VERSION + 1)
+    monkeypatch.setattr(identity, "RESULT_VERSION", identity.RESULT_VERSION + 1)
     assert len(known | {digest(config, {})}) == 5
 
 

@@ -7,7 +7,7 @@ import pytest
 from livlab.config import builtin_experiments, load_experiment, parse_experiment, to_toml
 from livlab.errors import ConfigError, InputError
 from livlab.kinds.brdf.job import prepare
-from livlab.kinds.execute import canonical
+from livlab.runs.identity import canonical
 
 MATERIAL = """
 schema = 1

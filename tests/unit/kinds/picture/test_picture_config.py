@@ -9,9 +9,9 @@ from picture_fakes import SMALL, small
 
 from livlab.config import load_experiment, parse_experiment, to_toml
 from livlab.errors import ConfigError
-from livlab.kinds.execute import canonical
 from livlab.kinds.picture.config import PictureExperiment
 from livlab.model.shapes import box
+from livlab.runs.identity import canonical
 
 ROOT = Path(__file__).resolve().parents[4]
 PICTURES = sorted((ROOT / "experiments").glob("liver-*.toml"))

@@ -20,6 +20,7 @@ from livlab.kinds.picture.cost import image_error, typical_error
 from livlab.kinds.picture.film import Film
 from livlab.model.colour import thesis_rgb
 from livlab.model.tissue.stack import OpticalStack
+from livlab.runs.identity import is_complete
 
 WIDE = """
 baselines = ["lambert", "dipole"]
@@ -87,7 +88,7 @@ def test_a_run_leaves_pictures_spectra_tables_and_claims(tmp_path: Path, monkeyp
     assert len(colours) == 4
     assert (colours["L_se"] > 0).all()
     assert pd.read_csv(folder / "claims.csv")["verdict"].tolist() == ["PASS"]
-    assert runs.is_complete(folder)
+    assert is_complete(folder)
     assert not (folder / ".pieces").exists()
 
 
@@ -144,7 +145,7 @@ def test_a_stopped_run_goes_on_and_ends_with_the_numbers_of_one_that_was_not(
         run(tmp_path / "stopped", monkeypatch, config, Stopping)
     (folder,) = (tmp_path / "stopped").iterdir()
     assert (folder / "preview.png").is_file()
-    assert not runs.is_complete(folder)
+    assert not is_complete(folder)
     again = run(tmp_path / "stopped", monkeypatch, config, Stopping)
     assert again == folder
     assert Stopping.asked == 10  # two readings of five passes each: none was done twice

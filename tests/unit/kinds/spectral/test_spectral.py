@@ -15,12 +15,13 @@ from livlab import datasets
 from livlab.acquire.instruments.models import AddingDoublingSolver, HyperspectralCamera
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.config import parse_experiment
-from livlab.kinds.execute import Outcome, execute, read_manifest
-from livlab.kinds.spectral.job import reading_seed
+from livlab.kinds.execute import Outcome, execute
+from livlab.kinds.shared.seeds import reading_seed
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS
 from livlab.runs.files import read_csv
+from livlab.runs.identity import read_manifest
 
 CONFIG = """\
 schema = 1

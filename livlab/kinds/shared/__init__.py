@@ -1,0 +1,1 @@
+"""What several kinds of experiment have in common."""
