@@ -199,7 +199,7 @@ class RunResult:
         return markup.card(title, self.name, markup.table(["", ""], rows), claims, markup.notes(self.notes))
 
 
-class Printed(Silent):
+class PrintedProgress(Silent):
     """Progress as lines on stderr, some seconds apart."""
 
     every_seconds = 5.0
@@ -324,7 +324,7 @@ def rerun(run: RunResult | Path | str, *, out: Path | str | None = None, progres
 
 
 def _watched(progress: Progress | bool) -> Progress:
-    return (Printed() if progress else Silent()) if isinstance(progress, bool) else progress
+    return (PrintedProgress() if progress else Silent()) if isinstance(progress, bool) else progress
 
 
 def plain(value: Any) -> Any:

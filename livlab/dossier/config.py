@@ -63,7 +63,7 @@ class Shown(Section):
     pictures: bool = Field(False, description="Its pictures.")
 
 
-class Answer(Section):
+class ThesisAnswer(Section):
     """A figure or table of the thesis, and what answers it."""
 
     id: Anchor = Field(description="Anchor in the page, e.g. figure-7-2.")
@@ -122,7 +122,7 @@ class Dossier(Section):
     description: Text = Field("", description="What it is for.")
     folder: Line = Field("..", description="The experiments' folder, from the file's own.")
     group: tuple[Group, ...] = Field((), strict=False, description="Groups of experiments, in order.")
-    answer: tuple[Answer, ...] = Field((), strict=False, description="The thesis's figures and tables, in order.")
+    answer: tuple[ThesisAnswer, ...] = Field((), strict=False, description="The thesis's figures and tables, in order.")
     unrecorded: tuple[Unrecorded, ...] = Field((), strict=False, description="Claims that a baseline leaves out.")
 
     @model_validator(mode="after")
@@ -170,4 +170,4 @@ def builtin_dossier() -> Path:
     return next(iter(builtin_experiments().values())).parent / "dossier" / "dossier.toml"
 
 
-__all__ = ["Answer", "Dossier", "Group", "Printed", "builtin_dossier", "load_dossier"]
+__all__ = ["Dossier", "Group", "Printed", "ThesisAnswer", "builtin_dossier", "load_dossier"]

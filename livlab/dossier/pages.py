@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from livlab.dossier.parts import claims_grid, copied_pictures, experiments_grid, sheets, shown_figures
-from livlab.dossier.site import MISSING, Cell, Entry, Grid, Site
+from livlab.dossier.site import MISSING, CellGrid, GridCell, Site, SiteEntry
 from livlab.dossier.thesis import answered, thesis_parts
 from livlab.kinds.picture.report_words import findings
 from livlab.reports.tables import Text, number
@@ -17,7 +17,7 @@ REST = "rest"
 
 
 @dataclass(frozen=True)
-class Part:
+class PagePart:
     """A section of a page.
 
     Attributes
@@ -52,7 +52,7 @@ class Page:
     short: str
     title: str
     text: str
-    parts: tuple[Part, ...]
+    parts: tuple[PagePart, ...]
     counts: tuple[tuple[str, int], ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
     notices: tuple[str, ...] = ()
@@ -73,16 +73,16 @@ def index_page(site: Site, pages: Sequence[Page]) -> Page:
     ]
     if not trouble:
         trouble.append(Text("Every claim holds, and none is missing."))
-    every = [Part("experiments", "Experiments", (experiments_grid(site.entries, _COST),))]
+    every = [PagePart("experiments", "Experiments", (experiments_grid(site.entries, _COST),))]
     return Page(
         "index",
         "Claims",
         str(site.dossier["title"]),
         str(site.dossier["description"]).strip(),
         (
-            Part("trouble", "What fails, and what is missing", tuple(trouble)),
+            PagePart("trouble", "What fails, and what is missing", tuple(trouble)),
             *every,
-            Part(
+            PagePart(
                 "thesis", "The thesis's figures and tables", (_answers(site),), link="thesis.html", lead="All of them"
             ),
             *_every_claim(site),
@@ -103,7 +103,7 @@ def thesis_page(site: Site) -> Page:
     for answer in site.dossier["answer"]:
         missing, left, right, after = thesis_parts(site, answer)
         parts.append(
-            Part(
+            PagePart(
                 str(answer["id"]),
                 f"{answer['name']}: {answer['title']}",
                 tuple(right),
@@ -143,7 +143,7 @@ def group_pages(site: Site) -> list[Page]:
     return pages
 
 
-def _grouped(group: Mapping[str, Any], entries: Sequence[Entry], parts: Sequence[Part]) -> Page:
+def _grouped(group: Mapping[str, Any], entries: Sequence[SiteEntry], parts: Sequence[PagePart]) -> Page:
     counts: Counter[str] = Counter()
     for e in entries:
         counts.update(dict(e.counts))
@@ -152,7 +152,7 @@ def _grouped(group: Mapping[str, Any], entries: Sequence[Entry], parts: Sequence
     return Page(str(group["id"]), str(group["short"] or title), title, text, tuple(parts), shown)
 
 
-def _experiment(site: Site, e: Entry, said: Mapping[str, Any], page: str) -> Part:
+def _experiment(site: Site, e: SiteEntry, said: Mapping[str, Any], page: str) -> PagePart:
     content: list[Any] = [Text(e.description)] if e.description else []
     if said.get("text"):
         content.append(Text(str(said["text"]).strip()))
@@ -164,7 +164,7 @@ def _experiment(site: Site, e: Entry, said: Mapping[str, Any], page: str) -> Par
         for note in e.run.manifest.get("notes", []):
             content.append(Text(f"Note: {note}"))
     content.append(_claims(e))
-    return Part(
+    return PagePart(
         e.name,
         e.title,
         tuple(content),
@@ -175,22 +175,22 @@ def _experiment(site: Site, e: Entry, said: Mapping[str, Any], page: str) -> Par
     )
 
 
-def _claims(e: Entry) -> Any:
+def _claims(e: SiteEntry) -> Any:
     if not e.rows:
         return Text("It makes no claims." if e.run is not None else "Its claims are not known.")
     columns = ("claim", "verdict", "value ± error", "reference", "tolerance", "seconds")
     rows = tuple(
         (
-            Cell(c["criterion"], note=c["reason"]),
-            Cell(verdict=c["verdict"]),
-            *(Cell(c[k]) for k in ("value", "reference", "tolerance", "seconds")),
+            GridCell(c["criterion"], note=c["reason"]),
+            GridCell(verdict=c["verdict"]),
+            *(GridCell(c[k]) for k in ("value", "reference", "tolerance", "seconds")),
         )
         for c in e.rows
     )
-    return Grid(f"Claims of {e.name}.", columns, rows, columns[2:], f"Its {len(rows)} claims")
+    return CellGrid(f"Claims of {e.name}.", columns, rows, columns[2:], f"Its {len(rows)} claims")
 
 
-def _every_claim(site: Site) -> list[Part]:
+def _every_claim(site: Site) -> list[PagePart]:
     """Every claim by group, each experiment's behind a line that counts them; on paper they stand open."""
     titles = {str(g["id"]): str(g["title"]) for g in site.dossier["group"]} | {REST: "Other experiments"}
     content: list[Any] = []
@@ -201,25 +201,25 @@ def _every_claim(site: Site) -> list[Part]:
                 words = f"{title}: {e.title}"
                 grid = claims_grid([(e, c) for c in e.rows], words)
                 content.append(replace(grid, folded=f"{words} ({told})"))
-    return [Part("claims", "Every claim", tuple(content))]
+    return [PagePart("claims", "Every claim", tuple(content))]
 
 
-def _answers(site: Site) -> Grid:
+def _answers(site: Site) -> CellGrid:
     rows = []
     for answer in site.dossier["answer"]:
         missing, count = answered(site, answer)
         rows.append(
             (
-                Cell(f"{answer['name']}: {answer['title']}", f"thesis.html#{answer['id']}", note=missing),
-                Cell(verdict=MISSING) if missing else Cell("beside ours"),
-                Cell(count),
+                GridCell(f"{answer['name']}: {answer['title']}", f"thesis.html#{answer['id']}", note=missing),
+                GridCell(verdict=MISSING) if missing else GridCell("beside ours"),
+                GridCell(count),
             )
         )
     columns = ("of the thesis", "", "numbers beside ours")
-    return Grid("What the thesis shows, and whether something of ours stands beside it.", columns, tuple(rows), ())
+    return CellGrid("What the thesis shows, and whether something of ours stands beside it.", columns, tuple(rows), ())
 
 
-def _left_out(site: Site) -> Part:
+def _left_out(site: Site) -> PagePart:
     rows = []
     for e in site.entries:
         plan = e.run.table("plan") if e.run is not None else None
@@ -229,15 +229,15 @@ def _left_out(site: Site) -> Part:
             dropped = found[found["decision"].isin(["dropped", "forced off"])]
             rows.append(
                 (
-                    Cell(e.name, f"{e.report}#effects"),
-                    Cell(str(reading)),
-                    Cell(", ".join(map(str, dropped["effect"])) or "nothing"),
-                    Cell(str(len(found))),
+                    GridCell(e.name, f"{e.report}#effects"),
+                    GridCell(str(reading)),
+                    GridCell(", ".join(map(str, dropped["effect"])) or "nothing"),
+                    GridCell(str(len(found))),
                 )
             )
     columns = ("experiment", "reading", "left out", "effects looked at")
     content: tuple[Any, ...] = (
-        Grid(
+        CellGrid(
             "What each planned run left out, because its scene does not call for it.",
             columns,
             tuple(rows),
@@ -246,10 +246,10 @@ def _left_out(site: Site) -> Part:
     )
     if not rows:
         content = (Text(f"{MISSING}: no run with a plan of effects is there."),)
-    return Part("effects", "Effects left out", content)
+    return PagePart("effects", "Effects left out", content)
 
 
-def _baseline(site: Site) -> Part:
+def _baseline(site: Site) -> PagePart:
     baseline = site.record["baseline"]
     held = sum(len(c) for c in baseline["holds"].values())
     content: list[Any] = []
@@ -259,15 +259,16 @@ def _baseline(site: Site) -> Part:
         content.append(Text(f"{held} claims held when the baseline was recorded ({baseline['file']})."))
     for key, words in (("lost", "Held then, and no longer."), ("gained", "Hold now, and are not in the baseline.")):
         rows = tuple(
-            (Cell(c["claim"], note=c["why"]), Cell(verdict=c["verdict"]), Cell(c["experiment"])) for c in baseline[key]
+            (GridCell(c["claim"], note=c["why"]), GridCell(verdict=c["verdict"]), GridCell(c["experiment"]))
+            for c in baseline[key]
         )
         if rows:
-            content.append(Grid(words, ("claim", "verdict", "experiment"), rows))
+            content.append(CellGrid(words, ("claim", "verdict", "experiment"), rows))
     content += [
         Text(f"Not recorded: claims named {pattern['claim']}. {pattern['why']}")
         for pattern in site.dossier["unrecorded"]
     ]
-    return Part("baseline", "What has changed since the baseline", tuple(content))
+    return PagePart("baseline", "What has changed since the baseline", tuple(content))
 
 
 def _facts(site: Site) -> tuple[tuple[str, str], ...]:

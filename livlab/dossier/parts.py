@@ -9,14 +9,14 @@ from typing import Any
 from markupsafe import Markup
 
 from livlab.core.files import write_whole
-from livlab.dossier.site import MISSING, Cell, Entry, Grid
+from livlab.dossier.site import MISSING, CellGrid, GridCell, SiteEntry
 from livlab.kinds.picture.report import png_size, shown_pictures
 from livlab.kinds.picture.report_words import alt_text, caption
 from livlab.reports.figures import drawn_by_livlab, inline
 from livlab.reports.tables import Image, Images, Picture, Text, number
 
 
-def shown_figures(entry: Entry, captions: Mapping[str, str], page: str) -> list[Any]:
+def shown_figures(entry: SiteEntry, captions: Mapping[str, str], page: str) -> list[Any]:
     """Figures of a run, inlined; one that is not there is told, not left out."""
     content: list[Any] = []
     for name, words in captions.items():
@@ -36,7 +36,7 @@ def shown_figures(entry: Entry, captions: Mapping[str, str], page: str) -> list[
     return content
 
 
-def copied_pictures(entry: Entry, out: Path) -> list[Any]:
+def copied_pictures(entry: SiteEntry, out: Path) -> list[Any]:
     """A picture run's pictures by its first colour route, copied into the site, and the older models' beside them."""
     if entry.run is None:
         return []
@@ -51,7 +51,7 @@ def copied_pictures(entry: Entry, out: Path) -> list[Any]:
     return content
 
 
-def sheets(entry: Entry, out: Path) -> list[Any]:
+def sheets(entry: SiteEntry, out: Path) -> list[Any]:
     """What a BRDF run photographed: its spheres under each light."""
     if entry.run is None or entry.kind != "brdf":
         return []
@@ -66,41 +66,41 @@ def sheets(entry: Entry, out: Path) -> list[Any]:
     return [Images(tuple(items))] if items else []
 
 
-def experiments_grid(entries: Iterable[Entry], words: str) -> Grid:
+def experiments_grid(entries: Iterable[SiteEntry], words: str) -> CellGrid:
     """One row an experiment."""
     rows = []
     for e in entries:
         counts = dict(e.counts)
         rows.append(
             (
-                Cell(e.title, e.report, note="" if e.run is not None else f"{e.state}: {e.reason}"),
-                Cell(e.name),
-                *(Cell(str(counts.get(v, "")) if e.run is not None or v == MISSING else "") for v in _VERDICTS),
-                Cell(number(e.seconds, 3) if e.run is not None else "–"),
+                GridCell(e.title, e.report, note="" if e.run is not None else f"{e.state}: {e.reason}"),
+                GridCell(e.name),
+                *(GridCell(str(counts.get(v, "")) if e.run is not None or v == MISSING else "") for v in _VERDICTS),
+                GridCell(number(e.seconds, 3) if e.run is not None else "–"),
             )
         )
-    return Grid(words, ("experiment", "name", *_VERDICTS, "seconds"), tuple(rows), (*_VERDICTS, "seconds"))
+    return CellGrid(words, ("experiment", "name", *_VERDICTS, "seconds"), tuple(rows), (*_VERDICTS, "seconds"))
 
 
-def claims_grid(found: Iterable[tuple[Entry, Mapping[str, str]]], words: str) -> Grid:
+def claims_grid(found: Iterable[tuple[SiteEntry, Mapping[str, str]]], words: str) -> CellGrid:
     """One row a claim, with the experiment that makes it."""
     rows = [
         (
-            Cell(c["criterion"], note=c["reason"]),
-            Cell(verdict=c["verdict"]),
-            Cell(e.name, e.report or f"{e.group}.html#{e.name}"),
-            Cell(c["value"]),
-            Cell(c["reference"]),
-            Cell(c["tolerance"]),
-            Cell(c["seconds"]),
+            GridCell(c["criterion"], note=c["reason"]),
+            GridCell(verdict=c["verdict"]),
+            GridCell(e.name, e.report or f"{e.group}.html#{e.name}"),
+            GridCell(c["value"]),
+            GridCell(c["reference"]),
+            GridCell(c["tolerance"]),
+            GridCell(c["seconds"]),
         )
         for e, c in found
     ]
     columns = ("claim", "verdict", "experiment", "value ± error", "reference", "tolerance", "seconds")
-    return Grid(words, columns, tuple(rows), columns[3:])
+    return CellGrid(words, columns, tuple(rows), columns[3:])
 
 
-def _copied(entry: Entry, row: Mapping[str, Any], out: Path) -> Image:
+def _copied(entry: SiteEntry, row: Mapping[str, Any], out: Path) -> Image:
     assert entry.run is not None
     source = entry.run.path / str(row["png"])
     words = dict(row)

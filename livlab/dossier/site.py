@@ -20,7 +20,7 @@ MISSING = "MISSING"
 
 
 @dataclass(frozen=True)
-class Cell:
+class GridCell:
     """A cell: its text, where it leads, a verdict shown as a badge, and a note beneath."""
 
     text: str = ""
@@ -30,19 +30,19 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Grid:
+class CellGrid:
     """A table whose cells may be links and verdicts; the first column names the row."""
 
     caption: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[GridCell, ...], ...]
     numeric: tuple[str, ...] = ()
     folded: str = ""
     kind: str = "grid"
 
 
 @dataclass(frozen=True)
-class Entry:
+class SiteEntry:
     """An experiment as the site shows it.
 
     Attributes
@@ -88,7 +88,7 @@ class Site:
 
     out: Path
     record: Mapping[str, Any]
-    entries: tuple[Entry, ...]
+    entries: tuple[SiteEntry, ...]
 
     @property
     def dossier(self) -> Mapping[str, Any]:
@@ -96,12 +96,12 @@ class Site:
         found: Mapping[str, Any] = self.record["dossier"]
         return found
 
-    def entry(self, name: str) -> Entry:
+    def entry(self, name: str) -> SiteEntry:
         """An experiment by name; one that nobody knows is an entry without a result."""
         for e in self.entries:
             if e.name == name:
                 return e
-        return Entry(name, name, "", "", "", "failed", "there is no such experiment", None, (), 0.0)
+        return SiteEntry(name, name, "", "", "", "failed", "there is no such experiment", None, (), 0.0)
 
 
 def read_site(out: Path) -> Site:
@@ -126,7 +126,7 @@ def read_site(out: Path) -> Site:
     return Site(out, record, entries)
 
 
-def _entry(out: Path, row: Mapping[str, Any], held: tuple[str, ...]) -> Entry:
+def _entry(out: Path, row: Mapping[str, Any], held: tuple[str, ...]) -> SiteEntry:
     run, reason = None, str(row["reason"])
     state = str(row["state"])
     if row["folder"] and state == "complete":
@@ -139,7 +139,7 @@ def _entry(out: Path, row: Mapping[str, Any], held: tuple[str, ...]) -> Entry:
         rows: tuple[Mapping[str, str], ...] = tuple(_gone(claim, reason) for claim in held)
     else:
         rows = claim_rows(run.claims, dict(run.manifest.get("claim_notes", {})))
-    return Entry(
+    return SiteEntry(
         str(row["name"]),
         str(row["title"] or row["name"]),
         str(row["description"]).strip(),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from livlab.dossier.parts import copied_pictures, shown_figures
-from livlab.dossier.site import MISSING, Cell, Grid, Site, looked_up
+from livlab.dossier.site import MISSING, CellGrid, GridCell, Site, looked_up
 from livlab.reports.tables import Text, number, with_error
 
 
@@ -39,7 +39,7 @@ def thesis_parts(site: Site, answer: Mapping[str, Any]) -> tuple[str, list[Any],
         if shown["pictures"]:
             right += [c for c in copied_pictures(entry, site.out) if not getattr(c, "caption", "")]
         right += shown_figures(entry, shown["figures"], str(answer["id"]))
-        right.append(Grid("", ("from",), ((Cell(f"Report: {entry.title}", entry.report),),), kind="link"))
+        right.append(CellGrid("", ("from",), ((GridCell(f"Report: {entry.title}", entry.report),),), kind="link"))
     after: list[Any] = []
     if answer["number"]:
         after.append(_numbers(site, answer))
@@ -48,14 +48,20 @@ def thesis_parts(site: Site, answer: Mapping[str, Any]) -> tuple[str, list[Any],
     return missing, left, right, after
 
 
-def _numbers(site: Site, answer: Mapping[str, Any]) -> Grid:
+def _numbers(site: Site, answer: Mapping[str, Any]) -> CellGrid:
     rows = []
     for n in answer["number"]:
         found, reason = looked_up(site, n["ours"]) if n["ours"] else (None, str(n["missing"]).strip())
         why = str(n["why"]).strip()
         if found is None:
             rows.append(
-                (Cell(n["what"], note=why), Cell(n["printed"]), Cell(note=reason), Cell(verdict=MISSING), Cell())
+                (
+                    GridCell(n["what"], note=why),
+                    GridCell(n["printed"]),
+                    GridCell(note=reason),
+                    GridCell(verdict=MISSING),
+                    GridCell(),
+                )
             )
             continue
         value, error = found["value"], found["error"]
@@ -65,12 +71,12 @@ def _numbers(site: Site, answer: Mapping[str, Any]) -> Grid:
             text = with_error(float(value), float(error)) if error is not None else number(float(value))
         rows.append(
             (
-                Cell(n["what"], note=why),
-                Cell(n["printed"]),
-                Cell(f"{text} {n['unit']}".strip()),
-                Cell(verdict=found["verdict"]) if found["verdict"] else Cell("–"),
-                Cell(str(n["ours"]["experiment"]), site.entry(str(n["ours"]["experiment"])).report),
+                GridCell(n["what"], note=why),
+                GridCell(n["printed"]),
+                GridCell(f"{text} {n['unit']}".strip()),
+                GridCell(verdict=found["verdict"]) if found["verdict"] else GridCell("–"),
+                GridCell(str(n["ours"]["experiment"]), site.entry(str(n["ours"]["experiment"])).report),
             )
         )
     columns = ("what", "the thesis prints", "ours", "claim", "from")
-    return Grid(f"Numbers of {answer['name']}, and ours.", columns, tuple(rows))
+    return CellGrid(f"Numbers of {answer['name']}, and ours.", columns, tuple(rows))

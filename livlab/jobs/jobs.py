@@ -50,7 +50,7 @@ class Job:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-class Store(Protocol):
+class AnswerStore(Protocol):
     """Where answers are kept by digest, whole or not at all: `livlab.jobs.store.Store` in files."""
 
     def load(self, digest: str) -> Answer | None:
@@ -109,7 +109,7 @@ def run_job(job: Job) -> Answer:
 def run_jobs(
     jobs: Sequence[Job],
     scheduler: Scheduler | None = None,
-    store: Store | None = None,
+    store: AnswerStore | None = None,
     progress: Callable[[int, int], None] | None = None,
     stopping: Callable[[], bool] | None = None,
 ) -> list[Answer]:

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from livlab.core.files import first_line, readable, write_whole
 from livlab.errors import InputError
 from livlab.reports.folder import AGAIN, LARGEST_BYTES, RunData
-from livlab.reports.tables import Section
+from livlab.reports.tables import ReportSection
 
 FILE = "bench.json"
 
@@ -94,10 +94,12 @@ def read_bench(folder: Path) -> dict[str, Any] | None:
     return dict(found)
 
 
-def bench_section(run: RunData) -> list[Section]:
+def bench_section(run: RunData) -> list[ReportSection]:
     """The section of a report, if the run has a bench."""
     found = read_bench(run.path)
-    return [Section("bench", "The bench: move the tissue yourself", [Bench(bench_markup(found))])] if found else []
+    return (
+        [ReportSection("bench", "The bench: move the tissue yourself", [Bench(bench_markup(found))])] if found else []
+    )
 
 
 def _asset(name: str) -> str:

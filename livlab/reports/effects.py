@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 
-from livlab.reports.tables import Section, Text, from_frame
+from livlab.reports.tables import ReportSection, Text, from_frame
 
 
-def simulated(plan: pd.DataFrame) -> Section:
+def simulated(plan: pd.DataFrame) -> ReportSection:
     """What each effect changes at most and whether it was kept; empty where a run simulated everything unasked."""
-    section = Section("effects", "What was simulated, and what the scene does not call for")
+    section = ReportSection("effects", "What was simulated, and what the scene does not call for")
     if not len(plan):
         return section
     out = plan[plan["decision"].isin(["dropped", "forced off"]) & (plan["why"] != "together")]

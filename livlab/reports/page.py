@@ -22,8 +22,8 @@ from livlab.reports.folder import RunData, read_run, sound
 from livlab.reports.readings import readings_section
 from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
-    Claims,
-    Section,
+    ClaimTable,
+    ReportSection,
     Text,
     claim_rows,
     from_frame,
@@ -45,7 +45,7 @@ BODIES = {
     "stress": "livlab.reports.page:tissue_sections",
     "study": "livlab.kinds.study.report:study_sections",
 }
-"""What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> list[Section]`,
+"""What a kind of experiment shows between its claims and its provenance: `sections(run, pictures) -> [sections]`,
 as "module:function", imported on use."""
 
 
@@ -127,11 +127,11 @@ def _spell(instrument: Any) -> str:
     return f"{kind} ({', '.join(parts)})" if parts else str(kind)
 
 
-def _sections(run: RunData, pictures: figures.Pictures) -> list[Section]:
-    claims = Section("claims", "What is claimed, and whether it holds")
+def _sections(run: RunData, pictures: figures.Pictures) -> list[ReportSection]:
+    claims = ReportSection("claims", "What is claimed, and whether it holds")
     if len(run.claims):
         claims.content.append(
-            Claims(
+            ClaimTable(
                 "A claim passes when its value lies within the tolerance of the reference. "
                 "MISSING: the reference or the value is not available.",
                 claim_rows(run.claims, dict(run.manifest.get("claim_notes", {}))),
@@ -157,14 +157,14 @@ def _sections(run: RunData, pictures: figures.Pictures) -> list[Section]:
     ]
 
 
-def _body(run: RunData) -> Callable[[RunData, figures.Pictures], list[Section]]:
+def _body(run: RunData) -> Callable[[RunData, figures.Pictures], list[ReportSection]]:
     """Builder of the sections that only this kind of run has."""
     module, _, name = BODIES.get(str(run.manifest.get("kind") or "spectral"), BODIES["spectral"]).partition(":")
-    found: Callable[[RunData, figures.Pictures], list[Section]] = getattr(importlib.import_module(module), name)
+    found: Callable[[RunData, figures.Pictures], list[ReportSection]] = getattr(importlib.import_module(module), name)
     return found
 
 
-def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[Section]:
+def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[ReportSection]:
     """What a spectral experiment shows."""
     return [
         _curves(run, pictures),
@@ -177,13 +177,13 @@ def spectral_sections(run: RunData, pictures: figures.Pictures) -> list[Section]
     ]
 
 
-def tissue_sections(run: RunData, _: figures.Pictures) -> list[Section]:
+def tissue_sections(run: RunData, _: figures.Pictures) -> list[ReportSection]:
     """What an experiment shows that checks livlab itself; its tables have sections of their own."""
     return [tissue_section(run)]
 
 
-def _curves(run: RunData, pictures: figures.Pictures) -> Section:
-    section = Section("curves", "The measured curves")
+def _curves(run: RunData, pictures: figures.Pictures) -> ReportSection:
+    section = ReportSection("curves", "The measured curves")
     if run.result is None:
         section.content.append(Text("No reading has been measured yet."))
         return section
@@ -226,8 +226,8 @@ def _curves(run: RunData, pictures: figures.Pictures) -> Section:
     return section
 
 
-def _coefficients(run: RunData, pictures: figures.Pictures) -> Section:
-    section = Section("coefficients", "What the tissue is made of, optically")
+def _coefficients(run: RunData, pictures: figures.Pictures) -> ReportSection:
+    section = ReportSection("coefficients", "What the tissue is made of, optically")
     if run.coefficients is not None:
         section.content.append(
             pictures.add(
@@ -240,8 +240,8 @@ def _coefficients(run: RunData, pictures: figures.Pictures) -> Section:
     return section
 
 
-def _budget(run: RunData, pictures: figures.Pictures) -> Section:
-    section = Section("energy", "Where the light went")
+def _budget(run: RunData, pictures: figures.Pictures) -> ReportSection:
+    section = ReportSection("energy", "Where the light went")
     if run.result is None:
         return section
     parts = figures.budget_parts(run.result)
@@ -274,9 +274,9 @@ def _budget(run: RunData, pictures: figures.Pictures) -> Section:
     return section
 
 
-def tissue_section(run: RunData) -> Section:
+def tissue_section(run: RunData) -> ReportSection:
     """The tissue's parameters as each reading takes them."""
-    section = Section("tissue", "The tissue")
+    section = ReportSection("tissue", "The tissue")
     table = run.table("tissue")
     if len(table):
         section.content.append(
@@ -289,8 +289,8 @@ def tissue_section(run: RunData) -> Section:
     return section
 
 
-def _cost(run: RunData, pictures: figures.Pictures) -> Section:
-    section = Section("cost", "What it cost")
+def _cost(run: RunData, pictures: figures.Pictures) -> ReportSection:
+    section = ReportSection("cost", "What it cost")
     costs = run.table("costs")
     if not len(costs):
         return section
@@ -320,7 +320,7 @@ def _cost(run: RunData, pictures: figures.Pictures) -> Section:
     return section
 
 
-def _every_solver(run: RunData, pictures: figures.Pictures, section: Section) -> None:
+def _every_solver(run: RunData, pictures: figures.Pictures, section: ReportSection) -> None:
     """What `livlab cost` found on this run's scene, if it was asked."""
     table = run.table("cost")
     if not len(table):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pandas as pd
 
 from livlab.reports.folder import RunData
-from livlab.reports.tables import Section, Text, from_frame, number
+from livlab.reports.tables import ReportSection, Text, from_frame, number
 
 
-def readings_section(run: RunData) -> Section:
+def readings_section(run: RunData) -> ReportSection:
     """Every place where the readings differ."""
-    section = Section("readings", "The readings, side by side")
+    section = ReportSection("readings", "The readings, side by side")
     table = run.table("readings")
     if len(table):
         told = (

@@ -6,7 +6,7 @@ import pandas as pd
 
 from livlab.errors import InputError
 from livlab.reports.folder import RunData
-from livlab.reports.tables import Code, Section, Text, from_frame, number, records
+from livlab.reports.tables import Code, ReportSection, Text, from_frame, number, records
 
 _MADE_WITH = (
     "livlab", "code", "python", "platform", "processor", "cores", "memory_gib", "libllvm", "gpu", "variant", "seed",
@@ -14,9 +14,9 @@ _MADE_WITH = (
 )  # fmt: skip
 
 
-def provenance(run: RunData) -> Section:
+def provenance(run: RunData) -> ReportSection:
     """The datasets of a run, and which of them livlab does not bring."""
-    section = Section("provenance", "Where every number came from")
+    section = ReportSection("provenance", "Where every number came from")
     table = run.table("provenance")
     if len(table):
         section.content.append(records(table, "Datasets this run used; each was checked against its hash.", "name"))
@@ -32,10 +32,10 @@ def provenance(run: RunData) -> Section:
     return section
 
 
-def again(run: RunData) -> Section:
+def again(run: RunData) -> ReportSection:
     """The commands that make the run again, the machine and the versions it was made with, and the experiment."""
     m = run.manifest
-    section = Section("rerun", "How to run it again")
+    section = ReportSection("rerun", "How to run it again")
     section.content.append(Code(f"{m.get('command', 'livlab run')}\nlivlab rerun {run.path.name}"))
     section.content.append(
         Text(

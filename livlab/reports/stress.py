@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pandas as pd
 
-from livlab.reports.tables import Section, Text, from_frame, number, with_error
+from livlab.reports.tables import ReportSection, Text, from_frame, number, with_error
 
 TAKEN = "energy/thesis, what Algorithm 2 takes"
 """The case that measures which part of the thesis's light goes nowhere."""
 
 
-def hard_cases(table: pd.DataFrame) -> Section:
+def hard_cases(table: pd.DataFrame) -> ReportSection:
     """What was tried and what held: a sentence, where energy is not conserved, and every line of the table.
 
     Parameters
@@ -18,7 +18,7 @@ def hard_cases(table: pd.DataFrame) -> Section:
     table
         `stress.csv` as read; an empty one gives an empty section.
     """
-    section = Section("stress", "Hard cases")
+    section = ReportSection("stress", "Hard cases")
     if not len(table) or "verdict" not in table:
         return section
     counts = table["verdict"].value_counts()

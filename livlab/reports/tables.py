@@ -43,7 +43,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Claims:
+class ClaimTable:
     """The claim table."""
 
     caption: str
@@ -108,7 +108,7 @@ class Images:
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """A section of the page."""
 
     id: str

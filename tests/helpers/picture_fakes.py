@@ -9,7 +9,7 @@ import numpy as np
 
 from livlab.config import parse_experiment
 from livlab.kinds.picture.config import PictureExperiment
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.model.tissue.stack import OpticalStack
 
 SMALL = """\
@@ -73,7 +73,7 @@ class BallCamera:
     def batch(self, spp: int) -> int:
         return 1
 
-    def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
+    def expose(self, film: CameraFilm, stack: OpticalStack, *, spp: int, seed: int) -> None:
         started = time.perf_counter()
         rng = np.random.default_rng([seed, film.passes])
         mean = self.truth(stack)

@@ -20,7 +20,7 @@ from typing import Any
 
 from livlab.errors import EnvironmentProblem, InputError, LivlabError
 from livlab.jobs.jobs import Answer, Job, LocalScheduler, Scheduler
-from livlab.jobs.scheduler.dispatch import Dispatch, Outcome, SchedulerLost
+from livlab.jobs.scheduler.dispatch import Dispatch, JobOutcome, SchedulerLost
 
 __all__ = ["LOCAL", "Processes", "Remote", "open_scheduler"]
 
@@ -119,7 +119,7 @@ class Processes:
         """
         if not jobs:
             return
-        numbers, failed = {job.digest: k for k, job in enumerate(jobs)}, list[Outcome]()
+        numbers, failed = {job.digest: k for k, job in enumerate(jobs)}, list[JobOutcome]()
         with self.connected(min(self.count, len(jobs))) as client:
             where = f"This machine ({self.count} processes)"
             try:
@@ -188,7 +188,7 @@ class Remote:
         EnvironmentProblem
             The same, where a machine was at fault; or no scheduler answers, or a worker has other versions.
         """
-        numbers, failed = {job.digest: k for k, job in enumerate(jobs)}, list[Outcome]()
+        numbers, failed = {job.digest: k for k, job in enumerate(jobs)}, list[JobOutcome]()
         left, patience = dict(numbers), self.first_patience
         while left:
             with self._connected(patience) as client, contextlib.suppress(SchedulerLost):
@@ -229,7 +229,9 @@ class Remote:
                 return client
 
 
-def _good(outcomes: Iterator[Outcome], left: dict[str, int], failed: list[Outcome]) -> Iterator[tuple[int, Answer]]:
+def _good(
+    outcomes: Iterator[JobOutcome], left: dict[str, int], failed: list[JobOutcome]
+) -> Iterator[tuple[int, Answer]]:
     """Numbers and answers of what went well; `left` loses what is done with, `failed` gains what is not well."""
     for outcome in outcomes:
         number = left.pop(outcome.job.digest)
@@ -239,7 +241,7 @@ def _good(outcomes: Iterator[Outcome], left: dict[str, int], failed: list[Outcom
             yield number, outcome.answer
 
 
-def _raise_failed(failed: Sequence[Outcome], count: int) -> None:
+def _raise_failed(failed: Sequence[JobOutcome], count: int) -> None:
     if not failed:
         return
     first = failed[0].error or LivlabError("It gave no answer.")

@@ -30,7 +30,7 @@ GATHER_SECONDS = 120.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobOutcome:
     """What came of a job: an answer, or why there is none.
 
     Attributes
@@ -110,7 +110,7 @@ class Dispatch:
         self._looked = self._manned = self._told = time.monotonic()
         self._look()
 
-    def outcomes(self) -> Iterator[Outcome]:
+    def outcomes(self) -> Iterator[JobOutcome]:
         """Answer every job once, as they are done.
 
         Raises
@@ -153,7 +153,7 @@ class Dispatch:
         task.future = self._client.submit(work, sent, key=key, pure=True, workers=task.pinned, retries=0)
         self._out.append(task)
 
-    def _judge(self, task: _Task) -> Outcome | None:
+    def _judge(self, task: _Task) -> JobOutcome | None:
         """What came of a task: an answer, or None where it is tried again."""
         from concurrent.futures import CancelledError
 
@@ -166,7 +166,7 @@ class Dispatch:
             error = task.future.exception()
             if isinstance(error, KilledWorker):
                 return self._suspect(task)
-            return Outcome(task.job, None, _unexpected(error))
+            return JobOutcome(task.job, None, _unexpected(error))
         try:
             said = json.loads(task.future.result(timeout=GATHER_SECONDS))
         except (OSError, TimeoutError, CancelledError):  # its worker died with the result, or the scheduler did
@@ -174,14 +174,14 @@ class Dispatch:
         task.future = None
         place = said["by"]
         if "result" in said:
-            return Outcome(task.job, said["result"])
+            return JobOutcome(task.job, said["result"])
         if "refused" in said:
             raise _other_versions(self._named(place), said["refused"])
         if "lacking" in said:
             return self._reroute(task, place, said["lacking"])
-        return Outcome(task.job, None, _error(said["failed"]))
+        return JobOutcome(task.job, None, _error(said["failed"]))
 
-    def _again(self, task: _Task) -> Outcome | None:
+    def _again(self, task: _Task) -> JobOutcome | None:
         """Give a task out once more, unless there is nobody to give it to."""
         if not self._connected():
             raise SchedulerLost
@@ -189,7 +189,7 @@ class Dispatch:
         self._waiting.append(task)
         return None
 
-    def _suspect(self, task: _Task) -> Outcome | None:
+    def _suspect(self, task: _Task) -> JobOutcome | None:
         """A job that was at every death of a worker: guilty if it was alone, else it shall be."""
         task.future = None
         if not task.alone:
@@ -200,9 +200,9 @@ class Dispatch:
             f"Every worker that tries job {task.job.kind} {task.job.digest} dies of it; it was tried alone, too.",
             remedy="See the workers' logs; if memory is short, start fewer workers with more memory each.",
         )
-        return Outcome(task.job, None, error)
+        return JobOutcome(task.job, None, error)
 
-    def _reroute(self, task: _Task, place: str, told: dict[str, str]) -> Outcome | None:
+    def _reroute(self, task: _Task, place: str, told: dict[str, str]) -> JobOutcome | None:
         """A job that its worker's machine cannot do: to another that may, or back to the user."""
         task.lacking[place] = told
         if any(address not in task.lacking for address in self._crew):
@@ -211,7 +211,7 @@ class Dispatch:
             return None
         places = ", ".join(self._named(x) for x in task.lacking)
         told = {**told, "message": f"No worker can do it. {places}: {told['message']}", "class": "EnvironmentProblem"}
-        return Outcome(task.job, None, _error(told))
+        return JobOutcome(task.job, None, _error(told))
 
     def _look(self) -> None:
         """Count the workers, meet the new ones, share the cores among them."""

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from livlab import datasets
 from livlab.criteria import Claim
 from livlab.errors import InputError
 from livlab.kinds.brdf.config import REFERENCE, BrdfCriterion, BrdfExperiment
-from livlab.kinds.brdf.cuts import at_angles
+from livlab.kinds.brdf.cuts import BrdfCut, at_angles
 from livlab.metrics import bootstrap_interval, mse, pearson, rmse
 from livlab.units import FloatArray
-
-if TYPE_CHECKING:
-    from livlab.kinds.brdf.liver import Seen
 
 COMPARISON = (
     "reading", "wavelength_nm", "between", "points", "rmse", "rmse_se", "noise_rmse", "mse", "mse_se", "pearson",
@@ -24,6 +23,21 @@ COMPARISON = (
 )  # fmt: skip
 PAIRS = {"goniometer": "sphere, goniometer", "fit": "sphere, fit"}
 RESAMPLES = 500
+
+
+@dataclass
+class Seen:
+    """One reading: its sphere, its flat sample, the cuts through both, and what was fitted."""
+
+    sphere: BrdfCut
+    flat: BrdfCut
+    measured: xr.Dataset
+    samples: xr.Dataset
+    wavelength_nm: FloatArray
+    fit: Any = None
+    fitted: FloatArray | None = None
+    seconds: float = 0.0
+    comparison: dict[tuple[str, float | None], dict[str, float]] = field(default_factory=dict)
 
 
 def _ratio(a: FloatArray, b: FloatArray) -> float:

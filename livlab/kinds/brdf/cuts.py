@@ -150,7 +150,7 @@ def half_angle_map(samples: xr.Dataset, error: FloatArray, bin_deg: float = 2.0)
 
 
 @dataclass(frozen=True)
-class Cut:
+class BrdfCut:
     """A cut through a BRDF, one value a wavelength and angle.
 
     Attributes
@@ -190,7 +190,7 @@ def sphere_cut(
     phi_step_deg: float = 30.0,
     step_deg: float | None = None,
     least: int = 10,
-) -> Cut:
+) -> BrdfCut:
     """Mean of a sphere's samples in the bins of a goniometer's detectors.
 
     Parameters
@@ -233,7 +233,7 @@ def sphere_cut(
 
     value, error = samples["value"].to_numpy()[where], samples["standard_error"].to_numpy()[where]
     channels = range(value.shape[1])
-    return Cut(
+    return BrdfCut(
         angles,
         np.degrees(mean(theta[where])),
         np.stack([mean(value[:, c]) for c in channels]),
@@ -249,7 +249,7 @@ def flat_cut(
     incidence_deg: float = 45.0,
     last_deg: float = 75.0,
     step_deg: float | None = None,
-) -> Cut:
+) -> BrdfCut:
     """The same cut through what the goniometer measured (`livlab.acquire.instruments.goniometer`)."""
     theta = np.degrees(measured["theta_o"].to_numpy())
     step = float(theta[1] - theta[0])
@@ -269,7 +269,7 @@ def flat_cut(
     share, top = _shares(measured), np.flatnonzero(angles == 0)
     picked[0][:, top] = (value[:, row, 0] * share).sum(1)[:, None]
     picked[1][:, top] = np.sqrt(((error[:, row, 0] * share) ** 2).sum(1))[:, None]
-    return Cut(angles, angles, picked[0], picked[1], np.full(len(angles), np.nan))
+    return BrdfCut(angles, angles, picked[0], picked[1], np.full(len(angles), np.nan))
 
 
 def _shares(measured: xr.Dataset) -> FloatArray:
@@ -278,7 +278,7 @@ def _shares(measured: xr.Dataset) -> FloatArray:
     return np.asarray(width / width.sum())
 
 
-def at_angles(cut: Cut, angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def at_angles(cut: BrdfCut, angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(W, A) values and errors of a cut between its own angles, by linear interpolation."""
     known = cut.angle_deg
     left = np.clip(np.searchsorted(known, angle_deg, side="right") - 1, 0, len(known) - 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +13,9 @@ import xarray as xr
 from livlab.acquire.instruments.goniometer import goniometer, unoriented
 from livlab.acquire.instruments.sphere_rig_tissue import photograph_tissue
 from livlab.brdf.sphere import extract
-from livlab.kinds.brdf.compare import COMPARISON, compared, judged
+from livlab.kinds.brdf.compare import COMPARISON, Seen, compared, judged
 from livlab.kinds.brdf.config import BrdfExperiment
-from livlab.kinds.brdf.cuts import Cut, at_angles, flat_cut, half_angle_map, sphere_cut
+from livlab.kinds.brdf.cuts import BrdfCut, at_angles, flat_cut, half_angle_map, sphere_cut
 from livlab.kinds.brdf.materials import COSTS
 from livlab.kinds.brdf.pictures import sheet
 from livlab.kinds.shared.seeds import reading_seed
@@ -30,21 +30,6 @@ if TYPE_CHECKING:
 RADII = ("reading", "wavelength_nm", "radius_mm", "ratio", "ratio_se")
 CUTS = ("reading", "wavelength_nm", "angle_deg", "at_deg", "samples", "sphere", "sphere_se", "goniometer",
         "goniometer_se", "fit")  # fmt: skip
-
-
-@dataclass
-class Seen:
-    """One reading: its sphere, its flat sample, the cuts through both, and what was fitted."""
-
-    sphere: Cut
-    flat: Cut
-    measured: xr.Dataset
-    samples: xr.Dataset
-    wavelength_nm: FloatArray
-    fit: Any = None
-    fitted: FloatArray | None = None
-    seconds: float = 0.0
-    comparison: dict[tuple[str, float | None], dict[str, float]] = field(default_factory=dict)
 
 
 def prepare_liver(config: BrdfExperiment) -> Callable[[Run], None]:
@@ -208,7 +193,7 @@ def _flat(
     return measured
 
 
-def _cut(config: BrdfExperiment, samples: xr.Dataset) -> Cut:
+def _cut(config: BrdfExperiment, samples: xr.Dataset) -> BrdfCut:
     scan, spec = config.scan, config.goniometer
     return sphere_cut(
         samples, scan.kind, incidence_deg=scan.incidence_deg, half_width_deg=scan.width_deg, last_deg=scan.last_deg,
@@ -216,7 +201,7 @@ def _cut(config: BrdfExperiment, samples: xr.Dataset) -> Cut:
     )  # fmt: skip
 
 
-def _along(evaluate: Callable[[Any, Any], Any], kind: str, incidence_deg: float, cut: Cut) -> Any:
+def _along(evaluate: Callable[[Any, Any], Any], kind: str, incidence_deg: float, cut: BrdfCut) -> Any:
     """(W, A) a fitted model along a cut, where the sphere's samples lie."""
     eye = np.radians(np.where(np.isfinite(cut.at_deg), cut.at_deg, cut.angle_deg))
     # Signed θ_o counts away from the light, which stands at −incidence.

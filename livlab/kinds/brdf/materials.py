@@ -32,7 +32,7 @@ POSE_NAMES = ("known", "outline")
 
 
 @dataclass
-class Measured:
+class MeasuredMaterial:
     """One material under one pose."""
 
     samples: xr.Dataset
@@ -69,7 +69,7 @@ def _work(run: Run, config: BrdfExperiment) -> None:
     run.progress.begin([m.name for m in config.material])
     costs: list[dict[str, object]] = []
     tables: dict[str, list[dict[str, object]]] = {"samples": [], "fits": [], "poses": [], "pictures": []}
-    found: dict[tuple[str, str], Measured] = {}
+    found: dict[tuple[str, str], MeasuredMaterial] = {}
     groups: list[xr.Dataset] = []
     for spec in config.material:
         parts = _one(run, config, spec, costs, tables)
@@ -103,7 +103,7 @@ def _one(
     spec: MaterialSpec,
     costs: list[dict[str, object]],
     tables: dict[str, list[dict[str, object]]],
-) -> dict[str, Measured]:
+) -> dict[str, MeasuredMaterial]:
     """Photograph one material and read it twice."""
     rig = config.rig.build()
     count = len(rig.lights)
@@ -127,7 +127,7 @@ def _one(
         )  # fmt: skip
         taken = time.perf_counter()
         truth = true_value(spec.bsdf, samples["wi"].to_numpy(), samples["wo"].to_numpy())
-        part = made[pose] = Measured(samples, truth)
+        part = made[pose] = MeasuredMaterial(samples, truth)
         fitting = time.perf_counter()
         if spec.fit is not None:
             from livlab.kinds.brdf.fits import fit_rows, fit_samples
@@ -172,7 +172,7 @@ def _circle(pictures: Photographs) -> tuple[float, float, float]:
     return float(u), float(v), float(np.hypot(curve[:, 0] - u, curve[:, 1] - v).mean())
 
 
-def _summary(part: Measured) -> dict[str, object]:
+def _summary(part: MeasuredMaterial) -> dict[str, object]:
     samples, error = part.samples, part.error
     weight = np.cos(samples["theta_i"].to_numpy()) * np.cos(samples["theta_o"].to_numpy())
     weighted = np.sqrt(
@@ -190,7 +190,7 @@ def _summary(part: Measured) -> dict[str, object]:
     }
 
 
-def _lobes(config: BrdfExperiment, spec: MaterialSpec, parts: dict[str, Measured]) -> xr.Dataset:
+def _lobes(config: BrdfExperiment, spec: MaterialSpec, parts: dict[str, MeasuredMaterial]) -> xr.Dataset:
     """What the report draws of a material, from the pictures with the known pose."""
     part = parts["known"]
     lines: dict[str, Evaluate] = {"true": lambda wi, wo: true_value(spec.bsdf, wi, wo)}
@@ -202,7 +202,7 @@ def _lobes(config: BrdfExperiment, spec: MaterialSpec, parts: dict[str, Measured
     return xr.merge([made, half_angle_map(part.samples, part.error)])
 
 
-def _judge(config: BrdfExperiment, c: BrdfCriterion, found: dict[tuple[str, str], Measured]) -> list[Claim]:
+def _judge(config: BrdfExperiment, c: BrdfCriterion, found: dict[tuple[str, str], MeasuredMaterial]) -> list[Claim]:
     claims = []
     for spec in config.material:
         if c.of not in ("all", spec.name):

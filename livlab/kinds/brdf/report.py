@@ -11,13 +11,13 @@ from livlab.kinds.brdf import report_figures as drawn
 from livlab.kinds.picture.report import png_size
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData, beneath
-from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
+from livlab.reports.tables import Image, Images, ReportSection, Text, from_frame, number, with_error
 
 _FIT = ("pose", "parameter", "value", "95 % interval")
 PERCENT = ("relative_rms", "weighted_rms", "percentile_99", "worst", "coverage")
 
 
-def brdf_sections(run: RunData, pictures: Pictures) -> list[Section]:
+def brdf_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """The sections of a BRDF run between its claims and its provenance."""
     if run.config.get("tissue") is None:
         return [_spheres(run), _samples(run, pictures), _lobes(run, pictures), _fits(run)]
@@ -36,8 +36,8 @@ def brdf_sections(run: RunData, pictures: Pictures) -> list[Section]:
     ]
 
 
-def _spheres(run: RunData) -> Section:
-    section = Section("spheres", "The spheres")
+def _spheres(run: RunData) -> ReportSection:
+    section = ReportSection("spheres", "The spheres")
     rig = run.config.get("rig", {})
     lights = rig.get("lights", {})
     count = len(lights.get("list_deg", [])) or lights.get("count", 8)
@@ -64,8 +64,8 @@ def _spheres(run: RunData) -> Section:
     return section
 
 
-def _samples(run: RunData, pictures: Pictures) -> Section:
-    section = Section("samples", "The samples")
+def _samples(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("samples", "The samples")
     table = run.table("samples")
     if len(table):
         shown = table.copy()
@@ -112,8 +112,8 @@ def _samples(run: RunData, pictures: Pictures) -> Section:
     return section
 
 
-def _lobes(run: RunData, pictures: Pictures) -> Section:
-    section = Section("lobes", "Lobes in the plane of incidence")
+def _lobes(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("lobes", "Lobes in the plane of incidence")
     if run.result is None or "measured" not in run.result:
         return section
     for k, name in enumerate(str(m) for m in run.result["material"].values):
@@ -128,8 +128,8 @@ def _lobes(run: RunData, pictures: Pictures) -> Section:
     return section
 
 
-def _fits(run: RunData) -> Section:
-    section = Section("fits", "The fits")
+def _fits(run: RunData) -> ReportSection:
+    section = ReportSection("fits", "The fits")
     table = run.table("fits")
     if not len(table):
         return section
@@ -176,11 +176,11 @@ def _spelled(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows).dropna(axis="columns", how="all")
 
 
-def _cuts(run: RunData, pictures: Pictures) -> Section:
+def _cuts(run: RunData, pictures: Pictures) -> ReportSection:
     scan = dict(run.config.get("scan", {}))
     collinear = scan.get("kind") == "collinear"
     title = "Light and camera together" if collinear else f"Light at {number(scan.get('incidence_deg'))}°"
-    section = Section("cuts", title)
+    section = ReportSection("cuts", title)
     if run.result is None or "cut_sphere" not in run.result:
         return section
     section.content.append(
@@ -226,8 +226,8 @@ def _errors(table: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-def _liver_lobes(run: RunData, pictures: Pictures) -> Section:
-    section = Section("lobes", "Lobes in the plane of incidence")
+def _liver_lobes(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("lobes", "Lobes in the plane of incidence")
     result: Any = run.result
     if result is None or "flat_lobes" not in result:
         return section
@@ -242,8 +242,8 @@ def _liver_lobes(run: RunData, pictures: Pictures) -> Section:
     return section
 
 
-def _radius(run: RunData, pictures: Pictures) -> Section:
-    section = Section("radius", "How large a sphere stands for a flat sample")
+def _radius(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("radius", "How large a sphere stands for a flat sample")
     table = run.table("radii")
     if len(table):
         section.content.append(

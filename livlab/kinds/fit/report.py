@@ -9,18 +9,18 @@ from livlab.kinds.fit.report_round_trip import round_trip_section
 from livlab.reports.bench import bench_section
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData
-from livlab.reports.tables import Section, Text, from_frame, number
+from livlab.reports.tables import ReportSection, Text, from_frame, number
 
 _HEADINGS = {"sd": "standard deviation", "drift": "moved by fresh draws", "lower": "from", "upper": "to"}
 
 
-def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
+def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """Sections of a run of kind "fit"."""
     if run.result is None or not len(run.table("fit")):
         return []
     result, found = run.result, run.table("fit")
     level = float(result.attrs["level"])
-    curves = Section("curves", "The curves, and what the fit makes of them")
+    curves = ReportSection("curves", "The curves, and what the fit makes of them")
     curves.content.extend(
         [
         pictures.add(
@@ -36,7 +36,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
         ),
         ]
     )  # fmt: skip
-    values = Section("parameters", "The tissue that fits")
+    values = ReportSection("parameters", "The tissue that fits")
     values.content.extend(
         [
             Text(_verdict(run, found)),
@@ -54,7 +54,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[Section]:
         values.content.append(
             pictures.add("fit-correlation", draw.correlation(run.table("correlation")), "Correlation at the optimum.")
         )
-    search = Section("search", "The search, and its price")
+    search = ReportSection("search", "The search, and its price")
     search.content.extend(
         [
             pictures.add(

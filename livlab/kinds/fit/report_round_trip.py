@@ -9,15 +9,15 @@ from matplotlib.ticker import NullFormatter
 
 from livlab.reports.figures import INK, MUTED, RULE, Pictures, colour, style
 from livlab.reports.folder import RunData
-from livlab.reports.tables import Section, Text, from_frame
+from livlab.reports.tables import ReportSection, Text, from_frame
 
 WANTED = (0.90, 0.99)
 """Coverage within which intervals of 95 % are called honest."""
 
 
-def round_trip_section(run: RunData, pictures: Pictures) -> Section:
+def round_trip_section(run: RunData, pictures: Pictures) -> ReportSection:
     """The section; empty where there were no round trips."""
-    section = Section("round-trips", "Simulated tissues, fitted: do the intervals hold the truth?")
+    section = ReportSection("round-trips", "Simulated tissues, fitted: do the intervals hold the truth?")
     table, trips = run.table("round_trip"), run.table("round_trips")
     if not len(table) or not len(trips) or run.result is None:
         return section

@@ -8,19 +8,19 @@ import xarray as xr
 from livlab.kinds.optics import report_figures as draw
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData
-from livlab.reports.tables import Section, Text, from_frame, number
+from livlab.reports.tables import ReportSection, Text, from_frame, number
 
 
-def sections(run: RunData, pictures: Pictures) -> list[Section]:
+def sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """Sections of a run of kind "optics"."""
     if run.result is None:
         return []
     return _scattering(run, run.result, pictures) if "mie" in run.result else _absorption(run, run.result, pictures)
 
 
-def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Section]:
+def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[ReportSection]:
     at = number(float(data.attrs["phase_wavelength_nm"]))
-    directions = Section("phase", "Where a sphere sends the light")
+    directions = ReportSection("phase", "Where a sphere sends the light")
     directions.content.extend(
         [
             pictures.add(
@@ -36,7 +36,7 @@ def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Sect
             ),
         ]
     )
-    curves = Section("spectra", "How much it scatters, over the wavelengths")
+    curves = ReportSection("spectra", "How much it scatters, over the wavelengths")
     curves.content.extend(
         [
             pictures.add(
@@ -53,7 +53,7 @@ def _scattering(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Sect
             from_frame(_summary(run.table("efficiencies")), "Over the wavelengths drawn, from the first to the last."),
         ]
     )
-    limits = Section("validity", "Where Rayleigh's law holds")
+    limits = ReportSection("validity", "Where Rayleigh's law holds")
     limits.content.extend(
         [
             Text(_verdict(run.table("validity"))),
@@ -101,8 +101,8 @@ def _span(values: pd.Series) -> str:
     return f"{number(float(values.iloc[0]), 3)} to {number(float(values.iloc[-1]), 3)}"
 
 
-def _absorption(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[Section]:
-    section = Section("absorption", "What absorbs, and where")
+def _absorption(run: RunData, data: xr.Dataset, pictures: Pictures) -> list[ReportSection]:
+    section = ReportSection("absorption", "What absorbs, and where")
     section.content.append(
         pictures.add(
             "absorption",

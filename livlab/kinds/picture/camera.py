@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from livlab.kinds.picture.config import PictureExperiment
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.kinds.picture.scene import OUTER, BodySurfaces, body_mesh, check_layering, furnish, nested_stack, surfaces
 from livlab.model.shapes import creased, distance_field
 from livlab.model.tissue.stack import OpticalStack
@@ -36,7 +36,7 @@ FINEST_MM, CELLS = 0.25, 200
 """Grid of the distance field: the body's extent over `CELLS`, not finer than this."""
 
 
-class Camera:
+class PictureCamera:
     """What takes the pictures of an experiment.
 
     Parameters
@@ -94,7 +94,7 @@ class Camera:
     def _lit_pixels(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         return np.flatnonzero(self.lit)
 
-    def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
+    def expose(self, film: CameraFilm, stack: OpticalStack, *, spp: int, seed: int) -> None:
         """Add one pass to a film.
 
         Parameters
@@ -178,7 +178,7 @@ class Camera:
         return self._scenes[key]
 
 
-def add(film: Film, seen: Any, batches: int, padded: int, lit: np.ndarray[Any, np.dtype[np.intp]]) -> None:
+def add(film: CameraFilm, seen: Any, batches: int, padded: int, lit: np.ndarray[Any, np.dtype[np.intp]]) -> None:
     """Add what a launch saw: (batch · pixel · padded wavelength) sums over each batch.
 
     Parameters

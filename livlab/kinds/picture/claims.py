@@ -21,7 +21,7 @@ _COORDINATES = {"lightness": "L", "redness": "a", "yellowness": "b", "hue": "hue
 
 
 @dataclass(frozen=True)
-class Seen:
+class PictureSummary:
     """What claims are made of: one picture's mean colours by route, and what it cost."""
 
     colours: Mapping[str, MeanColour]
@@ -31,7 +31,7 @@ class Seen:
     samples_per_second: float = float("nan")
 
 
-def judge(config: PictureExperiment, pictures: Mapping[Key, Seen]) -> list[Claim]:
+def judge(config: PictureExperiment, pictures: Mapping[Key, PictureSummary]) -> list[Claim]:
     """Every claim of an experiment.
 
     Parameters
@@ -60,7 +60,11 @@ def judge(config: PictureExperiment, pictures: Mapping[Key, Seen]) -> list[Claim
 
 
 def _value(
-    config: PictureExperiment, c: PictureCriterion, own: Seen, pictures: Mapping[Key, Seen], reading: str
+    config: PictureExperiment,
+    c: PictureCriterion,
+    own: PictureSummary,
+    pictures: Mapping[Key, PictureSummary],
+    reading: str,
 ) -> tuple[float, float]:
     if c.metric == "relative error":
         return own.relative_error, 0.0

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.kinds.picture.config import Colour
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.model.colour import channel_wavelengths, cie_weights, stochastic_weights, thesis_weights, to_rgb
 from livlab.model.colour.difference import SRGB_TO_XYZ
 from livlab.model.colour.science import colour_science
@@ -184,7 +184,7 @@ def coordinate(found: FloatArray, what: str) -> float:
     return float(np.degrees(np.arctan2(found[2], found[1])) % 360.0)
 
 
-def mean_colour(film: Film, route: ColourRoute, exposure: float) -> MeanColour:
+def mean_colour(film: CameraFilm, route: ColourRoute, exposure: float) -> MeanColour:
     """Mean colour of the lit body as a picture shows it."""
     spectrum, covariance = film.mean_spectrum()
     weights = np.zeros((3, len(spectrum)))

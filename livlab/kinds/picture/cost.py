@@ -8,14 +8,14 @@ import numpy as np
 
 from livlab.effects.config import EffectsConfig
 from livlab.kinds.picture.config import PictureExperiment
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.kinds.picture.plan import plan_picture
+from livlab.kinds.picture.work import Work
 from livlab.kinds.shared.seeds import reading_seed
 from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
-    from livlab.kinds.picture.job import Work
     from livlab.runs.work import Run
 
 COLUMNS = (
@@ -115,19 +115,19 @@ def _stack(config: PictureExperiment, work: Work, way: str, reading: str, stack:
 
 def _take(
     camera: Any, config: PictureExperiment, stack: OpticalStack, way: str, spp: int, seed: int
-) -> tuple[Film, float]:
+) -> tuple[CameraFilm, float]:
     """One picture and the seconds it took, compiling apart."""
     rows, columns = config.camera.height, config.camera.width
     parts = [[k] for k in range(len(stack.wavelength_nm))] if way in _APART else [list(range(len(stack.wavelength_nm)))]
     films, seconds = [], 0.0
     for k, indices in enumerate(parts):
         own = stack.at(indices)
-        film = Film.empty(rows, columns, own.wavelength_nm)
+        film = CameraFilm.empty(rows, columns, own.wavelength_nm)
         while film.samples < spp:
             camera.expose(film, own, spp=min(config.sampling.pass_spp, spp - film.samples), seed=seed + k)
         seconds += film.walking_seconds
         films.append(film)
-    whole = Film(
+    whole = CameraFilm(
         stack.wavelength_nm,
         np.concatenate([f.total for f in films], axis=2),
         np.concatenate([f.square for f in films], axis=2),

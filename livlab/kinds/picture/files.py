@@ -9,14 +9,14 @@ import numpy as np
 import xarray as xr
 
 from livlab.kinds.picture import tables
-from livlab.kinds.picture.claims import Key, Seen
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.claims import Key, PictureSummary
+from livlab.kinds.picture.film import CameraFilm
+from livlab.kinds.picture.work import Work
 from livlab.kinds.shared import tissue_tables
 from livlab.model.colour import CHANNEL_CENTRES_NM, write_exr, write_png
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
-    from livlab.kinds.picture.job import Work
     from livlab.runs.work import Run
 
 _DIMS = ("row", "column", "wavelength")
@@ -42,13 +42,13 @@ def stem(text: str) -> str:
     return "-".join(kept.split()) or "picture"
 
 
-def preview(run: Run, work: Work, film: Film) -> None:
+def preview(run: Run, work: Work, film: CameraFilm) -> None:
     """preview.png: the picture under way as it stands."""
     route = next(iter(work.routes.values()))
     write_png(run.folder / "preview.png", route.rgb(_picture(film.radiance, work.grid)), exposure=_exposure(work))
 
 
-def write_pictures(run: Run, work: Work, films: Mapping[Key, Film], baselines: Mapping[str, FloatArray]) -> None:
+def write_pictures(run: Run, work: Work, films: Mapping[Key, CameraFilm], baselines: Mapping[str, FloatArray]) -> None:
     """image.nc (the experiment's own tissue), image-TISSUE.nc, baselines.nc, and every picture as EXR and PNG."""
     shown: list[dict[str, object]] = []
     for tissue in dict.fromkeys(key[0] for key in films):
@@ -73,7 +73,7 @@ def write_pictures(run: Run, work: Work, films: Mapping[Key, Film], baselines: M
     run.write_table("pictures.csv", columns, shown)
 
 
-def write_tables(run: Run, work: Work, films: Mapping[Key, Film], pictures: Mapping[Key, Seen]) -> None:
+def write_tables(run: Run, work: Work, films: Mapping[Key, CameraFilm], pictures: Mapping[Key, PictureSummary]) -> None:
     """Every CSV of the run but its claims."""
     config = work.config
     readings = config.all_readings
@@ -135,7 +135,7 @@ def _exposure(work: Work) -> float:
     return work.config.colour.exposure
 
 
-def _dataset(work: Work, films: Mapping[str, Film]) -> xr.Dataset:
+def _dataset(work: Work, films: Mapping[str, CameraFilm]) -> xr.Dataset:
     dims = ("reading", *_DIMS)
     units = {"units": "1", "long_name": "radiance over that of a white diffuser of level 1"}
     data: dict[str, Any] = {

@@ -13,7 +13,7 @@ from livlab.units import FloatArray
 
 
 @dataclass
-class Film:
+class CameraFilm:
     """Sums over batches of samples of every pixel; another pass adds to them.
 
     Attributes
@@ -52,7 +52,7 @@ class Film:
     about: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def empty(cls, rows: int, columns: int, wavelength_nm: FloatArray, batch: int = 1) -> Film:
+    def empty(cls, rows: int, columns: int, wavelength_nm: FloatArray, batch: int = 1) -> CameraFilm:
         """A film that has seen nothing."""
         shape = (rows, columns, len(wavelength_nm))
         return cls(np.asarray(wavelength_nm, dtype=np.float64), np.zeros(shape), np.zeros(shape), batch)
@@ -130,7 +130,7 @@ class Film:
         )
 
     @classmethod
-    def from_dataset(cls, saved: xr.Dataset) -> Film:
+    def from_dataset(cls, saved: xr.Dataset) -> CameraFilm:
         """What `to_dataset` kept."""
         a = saved.attrs
         return cls(

@@ -26,7 +26,7 @@ from livlab.runs.files import told_plainly
 
 
 @dataclass(frozen=True)
-class Entry:
+class GalleryEntry:
     """One run as the gallery shows it.
 
     Attributes
@@ -107,14 +107,14 @@ def build_gallery(folders: Sequence[Path], out: Path) -> Path:
     return out / "index.html"
 
 
-def _entry(run: RunData, out: Path, name: str) -> Entry:
+def _entry(run: RunData, out: Path, name: str) -> GalleryEntry:
     rows = shown_pictures(run)
     if not rows:
         raise InputError.of("run", str(run.path), "has no finished picture", "Finish it: livlab run FILE.")
     first = str(rows[0]["route"])
     counts = Counter(str(v) for v in run.claims["verdict"]) if len(run.claims) else Counter[str]()
     report = run.path / "report.html"
-    return Entry(
+    return GalleryEntry(
         name,
         str(run.config.get("title") or name),
         str(run.config.get("description", "")).strip(),

@@ -6,21 +6,20 @@ import math
 import resource
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from livlab.kinds.picture.claims import Key, Seen, judge
-from livlab.kinds.picture.colour import ColourRoute, colour_routes, mean_colour
+from livlab.kinds.picture.claims import Key, PictureSummary, judge
+from livlab.kinds.picture.colour import colour_routes, mean_colour
 from livlab.kinds.picture.config import PictureExperiment
 from livlab.kinds.picture.files import label, preview, write_pictures, write_tables
-from livlab.kinds.picture.film import Film
-from livlab.kinds.picture.plan import PicturePlan, plan_picture
+from livlab.kinds.picture.film import CameraFilm
+from livlab.kinds.picture.plan import plan_picture
+from livlab.kinds.picture.work import Photographer, Work
 from livlab.kinds.shared.seeds import reading_seed
 from livlab.machine.gpu import name_device
 from livlab.model.tissue.optics import optical_stack
-from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
 
@@ -38,46 +37,6 @@ WATCHED_PIXELS = 20_000
 """Pixels of the lit body whose error is followed while a picture is taken; at its end all count."""
 
 
-class Photographer(Protocol):
-    """What takes the pictures of an experiment; `livlab.kinds.picture.camera.Camera` is the one."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the report must say of the scene, once it has been exposed."""
-
-    @property
-    def lit(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(row, column) pixels that see nothing but the body where it is lit."""
-
-    def batch(self, spp: int) -> int:
-        """Samples of a batch, for a picture of so many samples a pixel."""
-
-    def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
-        """Add one pass of samples to a film."""
-
-    def baseline(self, name: str, stack: OpticalStack, *, spp: int, seed: int) -> FloatArray:
-        """(row, column, W) the scene with an older model of appearance in the tissue's place."""
-
-
-@dataclass
-class Work:
-    """A picture experiment made ready: everything that its parts need."""
-
-    config: PictureExperiment
-    grid: FloatArray
-    routes: dict[str, ColourRoute]
-    stacks: dict[Key, OpticalStack]
-    curves: dict[Key, OpticalStack]
-    plans: dict[Key, PicturePlan]
-    camera: Photographer
-    make_camera: Callable[[PictureExperiment], Photographer]
-    costs: list[dict[str, object]] = field(default_factory=list)
-
-    def reading(self, name: str) -> Reading:
-        """A reading by name."""
-        return next(r for r in self.config.all_readings if r.name == name)
-
-
 def prepare(
     config: PictureExperiment, make_camera: Callable[[PictureExperiment], Photographer] | None = None
 ) -> Callable[[Run], None]:
@@ -88,7 +47,7 @@ def prepare(
     config
         A resolved experiment.
     make_camera
-        Gives what takes an experiment's pictures; `livlab.kinds.picture.camera.Camera` if not said.
+        Gives what takes an experiment's pictures; `livlab.kinds.picture.camera.PictureCamera` if not said.
 
     Returns
     -------
@@ -124,9 +83,9 @@ def prepare(
 
 
 def _camera(config: PictureExperiment) -> Photographer:
-    from livlab.kinds.picture.camera import Camera
+    from livlab.kinds.picture.camera import PictureCamera
 
-    return Camera(config)
+    return PictureCamera(config)
 
 
 def _work(run: Run, work: Work) -> None:
@@ -136,7 +95,7 @@ def _work(run: Run, work: Work) -> None:
     tasks = [label(key) for key in keys] + (["baselines"] if config.baselines else [])
     run.progress.begin([*tasks, *(["cost"] if config.cost else [])])
     _note(run, work)
-    films: dict[Key, Film] = {}
+    films: dict[Key, CameraFilm] = {}
     for key in keys:
         stack = work.stacks[key]
         if key in work.plans:
@@ -171,16 +130,16 @@ def _note(run: Run, work: Work) -> None:
         run.note(text if len(names) == len(work.stacks) > 1 else f"{'; '.join(names)}: {text}")
 
 
-def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> Film:
+def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> CameraFilm:
     """One picture: as an earlier call left it, gone on from there, or from the start."""
     config, task = work.config, label(key)
     piece = f"picture {task}"
     saved = run.load_piece(piece)
     if saved is None:
         batch = math.gcd(work.camera.batch(config.sampling.spp), config.sampling.pass_spp)
-        film = Film.empty(config.camera.height, config.camera.width, work.grid, batch)
+        film = CameraFilm.empty(config.camera.height, config.camera.width, work.grid, batch)
     else:
-        film = Film.from_dataset(saved)
+        film = CameraFilm.from_dataset(saved)
     seed = reading_seed(config.seed, task)
     kept, cost = time.monotonic(), 0.0
 
@@ -231,7 +190,7 @@ def _thinned(lit: np.ndarray[Any, np.dtype[np.bool_]]) -> np.ndarray[Any, np.dty
     return kept
 
 
-def _share(work: Work, film: Film) -> float:
+def _share(work: Work, film: CameraFilm) -> float:
     """How far a picture is, 0 to 1: by its samples, and by what it was wished to be worth."""
     share = film.samples / work.config.sampling.spp
     wish = work.config.accuracy
@@ -247,7 +206,7 @@ def _share(work: Work, film: Film) -> float:
     return max(share, 1.0 if reached >= 1.0 else min(reached, 0.999))
 
 
-def _told(film: Film) -> str:
+def _told(film: CameraFilm) -> str:
     error = film.trace[-1][2] if film.trace else float("nan")
     return f"{film.samples} spp" + (f", error {100 * error:.1f} %" if np.isfinite(error) else "")
 
@@ -269,11 +228,11 @@ def _baselines(run: Run, work: Work) -> dict[str, FloatArray]:
     return made
 
 
-def _seen(work: Work, key: Key, film: Film) -> Seen:
+def _seen(work: Work, key: Key, film: CameraFilm) -> PictureSummary:
     lit, exposure = work.camera.lit, work.config.colour.exposure
     colours = {name: mean_colour(film, route, exposure) for name, route in work.routes.items()}
     speed = film.samples * film.total[:, :, 0].size / max(film.walking_seconds, 1e-9)
-    return Seen(colours, film.relative_error(lit), film.seconds, peak_memory_gib(), speed)
+    return PictureSummary(colours, film.relative_error(lit), film.seconds, peak_memory_gib(), speed)
 
 
 def peak_memory_gib() -> float:

@@ -12,10 +12,10 @@ from livlab.kinds.picture import report_figures as drawn
 from livlab.kinds.picture.report_words import above, alt_text, caption, findings, last_layer, light_words, own_name
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData, beneath
-from livlab.reports.tables import Image, Images, Section, Text, from_frame, number, with_error
+from livlab.reports.tables import Image, Images, ReportSection, Text, from_frame, number, with_error
 
 
-def picture_sections(run: RunData, pictures: Pictures) -> list[Section]:
+def picture_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """The sections of a picture run between its claims and its provenance."""
     from livlab.reports.effects import simulated
     from livlab.reports.page import tissue_section
@@ -61,8 +61,8 @@ def _image(run: RunData, row: dict[str, Any]) -> Image:
     return Image(_inline(path), alt_text(run, row), caption(run, row), *png_size(path))
 
 
-def _pictures(run: RunData) -> Section:
-    section = Section("pictures", "The pictures")
+def _pictures(run: RunData) -> ReportSection:
+    section = ReportSection("pictures", "The pictures")
     rows = shown_pictures(run)
     if not rows:
         section.content.append(Text("No picture is finished yet; preview.png in the folder shows how far it is."))
@@ -85,8 +85,8 @@ def _pictures(run: RunData) -> Section:
     return section
 
 
-def _baselines(run: RunData) -> Section:
-    section = Section("baselines", "Older models in the same light")
+def _baselines(run: RunData) -> ReportSection:
+    section = ReportSection("baselines", "Older models in the same light")
     rows = shown_pictures(run, baselines=True)
     if rows:
         first = str(rows[0]["route"])
@@ -100,8 +100,8 @@ def _baselines(run: RunData) -> Section:
     return section
 
 
-def _colours(run: RunData, pictures: Pictures) -> Section:
-    section = Section("colours", "Colour of the lit body")
+def _colours(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("colours", "Colour of the lit body")
     table = run.table("colours")
     if not len(table):
         return section
@@ -156,8 +156,8 @@ def _colours(run: RunData, pictures: Pictures) -> Section:
     return section
 
 
-def _absorption(run: RunData, pictures: Pictures) -> Section:
-    section = Section("absorption", "What the tissue absorbs")
+def _absorption(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("absorption", "What the tissue absorbs")
     table = run.table("absorption")
     if len(table):
         section.content.append(
@@ -196,8 +196,8 @@ def _absorption(run: RunData, pictures: Pictures) -> Section:
     return section
 
 
-def _error(run: RunData, pictures: Pictures) -> Section:
-    section = Section("error", "How good the pictures are")
+def _error(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("error", "How good the pictures are")
     table = run.table("convergence")
     if len(table):
         section.content.append(
@@ -241,8 +241,8 @@ def _error(run: RunData, pictures: Pictures) -> Section:
     return section
 
 
-def _ways(run: RunData, pictures: Pictures) -> Section:
-    section = Section("ways", "What each way of following light costs")
+def _ways(run: RunData, pictures: Pictures) -> ReportSection:
+    section = ReportSection("ways", "What each way of following light costs")
     table = run.table("ways")
     if len(table):
         section.content.append(

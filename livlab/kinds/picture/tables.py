@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from livlab.kinds.picture.claims import Key, Seen
+from livlab.kinds.picture.claims import Key, PictureSummary
 from livlab.kinds.picture.colour import ColourRoute, coordinate
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.model.colour import delta_e_2000, encode_srgb
 from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, PlaneLayer
 
@@ -36,7 +36,7 @@ def srgb_hex(rgb: np.ndarray) -> str:
     return "#" + "".join(f"{c:02x}" for c in coded)
 
 
-def colours(pictures: Mapping[Key, Seen]) -> Made:
+def colours(pictures: Mapping[Key, PictureSummary]) -> Made:
     """Mean colour of the lit body: linear sRGB as the picture shows it, sRGB, CIELAB."""
     rows: Rows = []
     for (tissue, reading), seen in pictures.items():
@@ -57,7 +57,7 @@ def colours(pictures: Mapping[Key, Seen]) -> Made:
 
 
 def colour_differences(
-    films: Mapping[Key, Film],
+    films: Mapping[Key, CameraFilm],
     lit: np.ndarray,
     routes: Mapping[str, ColourRoute],
     exposure: float,
@@ -86,7 +86,7 @@ def colour_differences(
     return ("tissue", "reading", "route", "against", "mean_colour", "median_pixel", "p95_pixel"), rows
 
 
-def convergence(films: Mapping[Key, Film]) -> Made:
+def convergence(films: Mapping[Key, CameraFilm]) -> Made:
     """How each picture's error fell: pixel median of the relative standard error after each pass."""
     columns = ("tissue", "reading", "seconds", "samples", "error")
     rows: Rows = [

@@ -22,7 +22,7 @@ _COSINES = np.array([-0.95, -0.4, 0.1, 0.6, 0.9, 0.99])
 
 
 @dataclass(frozen=True)
-class Case:
+class AblationCase:
     """One thing changed.
 
     Attributes
@@ -50,7 +50,7 @@ class Case:
     same_as: str = ""
 
 
-def cases(config: StudyExperiment) -> list[Case]:
+def cases(config: StudyExperiment) -> list[AblationCase]:
     """Every case of an ablation, bases first; what leaves the scene as it is says whose curve it has.
 
     Raises
@@ -62,14 +62,16 @@ def cases(config: StudyExperiment) -> list[Case]:
     spec, tissue, grid = config.ablation, config.tissue.build(), config.wavelengths.grid()
     bases = [READINGS[n] for n in spec.bases] or [config.reading]
     numbers = {str(r["option"]): r["row"] for r in rows().to_dict("records")}
-    made = [Case(b.name, "base", b.name, None, "", "", b) for b in bases]
+    made = [AblationCase(b.name, "base", b.name, None, "", "", b) for b in bases]
     for base in bases:
         for option in spec.options or tuple(numbers):
             for choice in _choices(option, spec.choices):
                 if choice != getattr(base, option):
                     changed = _with(base, {option: choice})
                     made.append(
-                        Case(changed.name, "option", base.name, _row(numbers[option]), option, str(choice), changed)
+                        AblationCase(
+                            changed.name, "option", base.name, _row(numbers[option]), option, str(choice), changed
+                        )
                     )
     if spec.towards is not None:
         made += _path(bases[0], READINGS[spec.towards], numbers)
@@ -79,8 +81,8 @@ def cases(config: StudyExperiment) -> list[Case]:
     return _told_apart(made, stacks)
 
 
-def _path(start: Reading, end: Reading, numbers: Mapping[str, Any]) -> list[Case]:
-    made: list[Case] = []
+def _path(start: Reading, end: Reading, numbers: Mapping[str, Any]) -> list[AblationCase]:
+    made: list[AblationCase] = []
     at, before = start, start.name
     for option in numbers:
         choice = getattr(end, option)
@@ -88,25 +90,25 @@ def _path(start: Reading, end: Reading, numbers: Mapping[str, Any]) -> list[Case
             continue
         at = _with(at, {option: choice})
         label = f"{start.name} → {end.name}, {len(made) + 1}: {option} {choice}"
-        made.append(Case(label, "path", before, _row(numbers[option]), option, str(choice), at))
+        made.append(AblationCase(label, "path", before, _row(numbers[option]), option, str(choice), at))
         before = label
     return made
 
 
-def _effects(base: Reading, stack: OpticalStack, instrument: Instrument, tissue: Tissue) -> list[Case]:
+def _effects(base: Reading, stack: OpticalStack, instrument: Instrument, tissue: Tissue) -> list[AblationCase]:
     found = catalogue(Scene(stack, instrument), tissue, base)
     return [
-        Case(f"{base.name} without {e.name}", "effect", base.name, None, e.name, "left out", base, (e.name,))
+        AblationCase(f"{base.name} without {e.name}", "effect", base.name, None, e.name, "left out", base, (e.name,))
         for e in found
         if e.drop is not None
     ]
 
 
-def _told_apart(made: Sequence[Case], stacks: Mapping[str, OpticalStack]) -> list[Case]:
+def _told_apart(made: Sequence[AblationCase], stacks: Mapping[str, OpticalStack]) -> list[AblationCase]:
     """Name the earlier case with the same scene, so that chance makes no difference where there is none."""
     from dataclasses import replace
 
-    kept: list[Case] = []
+    kept: list[AblationCase] = []
     for case in made:
         twin = ""
         if not case.without:

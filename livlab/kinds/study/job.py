@@ -208,7 +208,11 @@ def _sensitivity(
 
 
 def _ablation(
-    run: Run, config: StudyExperiment, cases: Sequence[ablation.Case], outputs: Outputs, hashes: Mapping[str, str]
+    run: Run,
+    config: StudyExperiment,
+    cases: Sequence[ablation.AblationCase],
+    outputs: Outputs,
+    hashes: Mapping[str, str],
 ) -> None:
     begun = time.perf_counter()
     base = Base(config.tissue.build(), config.reading, config.instrument)

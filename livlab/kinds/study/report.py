@@ -8,7 +8,7 @@ import pandas as pd
 from livlab.kinds.study import report_figures as draw
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData
-from livlab.reports.tables import Section, Text, from_frame, number, with_error
+from livlab.reports.tables import ReportSection, Text, from_frame, number, with_error
 
 MOST_ROWS = 200
 """Rows of a table on the page; the whole stands in results.csv."""
@@ -17,7 +17,7 @@ MOST_SCATTER = 12
 """Factors beyond which a scatter has no room."""
 
 
-def study_sections(run: RunData, pictures: Pictures) -> list[Section]:
+def study_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """Sections of a run of kind "study"."""
     if run.result is None or not len(run.table("results")):
         return []
@@ -27,11 +27,11 @@ def study_sections(run: RunData, pictures: Pictures) -> list[Section]:
     return [*(_sensitivity(run, pictures) if method == "sensitivity" else []), *_points(run, pictures)]
 
 
-def _points(run: RunData, pictures: Pictures) -> list[Section]:
+def _points(run: RunData, pictures: Pictures) -> list[ReportSection]:
     assert run.result is not None
     factors = run.table("factors")
     logarithmic = [str(t) == "log" for t in factors["transform"]]
-    section = Section("points", "The points")
+    section = ReportSection("points", "The points")
     section.content.append(_varied(factors))
     for k in _telling(run.table("indices"), factors):
         name = str(factors["factor"].iloc[k])
@@ -82,9 +82,9 @@ def _varied(factors: pd.DataFrame) -> object:
     return from_frame(shown, "What varies.", only=["factor", "range", "unit", "path"])
 
 
-def _sensitivity(run: RunData, pictures: Pictures) -> list[Section]:
+def _sensitivity(run: RunData, pictures: Pictures) -> list[ReportSection]:
     found, settling = run.table("indices"), run.table("settling")
-    section = Section("indices", "What decides the outputs")
+    section = ReportSection("indices", "What decides the outputs")
     undefined = settling[settling["verdict"] == "undefined"] if len(settling) else settling
     if len(found):
         sobol = "total" in found
@@ -101,7 +101,7 @@ def _sensitivity(run: RunData, pictures: Pictures) -> list[Section]:
         section.content.append(from_frame(_with_intervals(last, sobol), "The same in numbers.", folded="The numbers"))
     for row in undefined.to_dict("records"):
         section.content.append(Text(f"The indices of {row['output']} are undefined: {row['reason']}"))
-    told = Section("settling", "Whether the indices have settled")
+    told = ReportSection("settling", "Whether the indices have settled")
     defined = settling[settling["verdict"] != "undefined"] if len(settling) else settling
     if len(defined):
         told.content.append(Text(_settled(defined)))
@@ -153,7 +153,7 @@ def _settled(defined: pd.DataFrame) -> str:
     )
 
 
-def _ablation(run: RunData, pictures: Pictures) -> list[Section]:
+def _ablation(run: RunData, pictures: Pictures) -> list[ReportSection]:
     assert run.result is not None
     table, targets = run.table("ablation"), run.table("targets")
     outputs = [str(run.result[f"output_{k}"].attrs["long_name"]) for k in range(_count(run, "output"))]
@@ -162,7 +162,7 @@ def _ablation(run: RunData, pictures: Pictures) -> list[Section]:
         outputs = [o for o in outputs if o in set(targets["output"])]
     sections = []
     if len(targets):
-        verdict = Section("verdict", "What explains the figures")
+        verdict = ReportSection("verdict", "What explains the figures")
         verdict.content.extend(Text(text) for text in verdict_sentences(table, targets))
         verdict.content.append(
             from_frame(targets, "What is to be explained.", only=["output", "value", "tolerance", "source"])
@@ -176,7 +176,7 @@ def _ablation(run: RunData, pictures: Pictures) -> list[Section]:
             )
         )
         sections.append(verdict)
-    changes = Section("changes", "What each change does")
+    changes = ReportSection("changes", "What each change does")
     metrics = {str(d.attrs["long_name"]): str(d.attrs["metric"]) for k, d in run.result.items() if "metric" in d.attrs}
     figure = draw.cases(table, outputs, targets, metrics)
     shaded = " Shaded: what is to be explained." if len(targets) else ""

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.jobs.jobs import Answer
-from livlab.kinds.study.ablation import Case, distance
+from livlab.kinds.study.ablation import AblationCase, distance
 from livlab.kinds.study.config import StudyExperiment
 from livlab.kinds.study.config_parts import Sensitivity, Target
 from livlab.kinds.study.outputs import Number, Outputs, finite
@@ -150,7 +150,10 @@ def settling(spec: Sensitivity, grown: Mapping[str, pd.DataFrame], why: Mapping[
 
 
 def ablation(
-    config: StudyExperiment, cases: Sequence[Case], curves: Sequence[Answer], made: Sequence[Mapping[str, Number]]
+    config: StudyExperiment,
+    cases: Sequence[AblationCase],
+    curves: Sequence[Answer],
+    made: Sequence[Mapping[str, Number]],
 ) -> Table:
     """One row a case: outputs with errors, their change against its base, seconds, and how far off the targets."""
     assert config.ablation is not None
@@ -213,7 +216,7 @@ def costs(
     return rows
 
 
-def shared_notes(cases: Sequence[Case], given: Mapping[str, Answer]) -> list[str]:
+def shared_notes(cases: Sequence[AblationCase], given: Mapping[str, Answer]) -> list[str]:
     """Notes of solvers, each once, with how many cases it concerns; those that differ in numbers only count as one."""
     by_form: dict[str, dict[str, str]] = {}
     for case in cases:

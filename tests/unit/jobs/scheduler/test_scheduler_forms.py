@@ -12,7 +12,7 @@ from livlab.errors import DatasetError, EnvironmentProblem, InputError, LivlabEr
 from livlab.jobs import jobs as jobs_module
 from livlab.jobs.jobs import Job, LocalScheduler
 from livlab.jobs.scheduler import Processes, Remote, _raise_failed, dispatch, open_scheduler, worker
-from livlab.jobs.scheduler.dispatch import Outcome
+from livlab.jobs.scheduler.dispatch import JobOutcome
 
 WRONG = [
     "", "processes:0", "processes:-1", "processes:x", "processes:1025", "processes: 2", "tcp://", "tcp://host",
@@ -119,7 +119,7 @@ def test_an_unknown_class_is_livlabs_own(name):
 
 
 def test_failures_are_counted_and_named():
-    failed = [Outcome(Job("answer", {"x": k}), None, InputError("bad", remedy="mend")) for k in range(9)]
+    failed = [JobOutcome(Job("answer", {"x": k}), None, InputError("bad", remedy="mend")) for k in range(9)]
     with pytest.raises(InputError, match=r"9 of 20 jobs failed \(answer [0-9a-f]{12}, .* …\).*The first: bad") as told:
         _raise_failed(failed, 20)
     assert told.value.remedy == "mend"

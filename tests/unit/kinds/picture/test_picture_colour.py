@@ -11,10 +11,10 @@ import xarray as xr
 from picture_fakes import small
 
 from livlab.errors import RangeError
-from livlab.kinds.picture.claims import Seen, judge
+from livlab.kinds.picture.claims import PictureSummary, judge
 from livlab.kinds.picture.colour import MeanColour, colour_routes, coordinate, lab, mean_colour
 from livlab.kinds.picture.config import Colour, Illuminant, Observer
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.model.colour import ILLUMINANTS, OBSERVERS, channel_wavelengths, thesis_rgb
 
 THREE = Colour(routes=("thesis", "stochastic", "cie"))
@@ -62,9 +62,9 @@ def test_cielab_is_that_of_colour_science() -> None:
     assert np.allclose(lab(rgb), known, atol=1e-2)
 
 
-def film_of(samples: np.ndarray, grid: np.ndarray) -> Film:  # type: ignore[type-arg]
+def film_of(samples: np.ndarray, grid: np.ndarray) -> CameraFilm:  # type: ignore[type-arg]
     """A film whose batches saw these mean spectra (batch, W)."""
-    film = Film.empty(1, 1, grid)
+    film = CameraFilm.empty(1, 1, grid)
     film.spectra, film.batches = list(samples), len(samples)
     return film
 
@@ -125,8 +125,8 @@ within = [0, 0.02]
 """
 
 
-def seen(rgb: tuple[float, float, float], error: float = 1e-4, relative: float = 0.01) -> Seen:
-    return Seen({"thesis": MeanColour(np.array(rgb), error**2 * np.eye(3), np.eye(3))}, relative, 3.0, 0.5)
+def seen(rgb: tuple[float, float, float], error: float = 1e-4, relative: float = 0.01) -> PictureSummary:
+    return PictureSummary({"thesis": MeanColour(np.array(rgb), error**2 * np.eye(3), np.eye(3))}, relative, 3.0, 0.5)
 
 
 def test_claims_are_judged_by_their_bounds() -> None:

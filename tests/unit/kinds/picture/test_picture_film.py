@@ -7,12 +7,12 @@ import pytest
 
 from livlab.errors import InputError
 from livlab.kinds.picture.camera import add
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 
 
-def exposed(samples: np.ndarray) -> Film:  # type: ignore[type-arg]
+def exposed(samples: np.ndarray) -> CameraFilm:  # type: ignore[type-arg]
     """(sample, row, column, W) on a film."""
-    film = Film.empty(*samples.shape[1:3], np.arange(samples.shape[3]) * 10.0 + 500.0)
+    film = CameraFilm.empty(*samples.shape[1:3], np.arange(samples.shape[3]) * 10.0 + 500.0)
     film.total += samples.sum(axis=0)
     film.square += (samples**2).sum(axis=0)
     film.spectra += [sample.mean(axis=(0, 1)) for sample in samples]
@@ -40,7 +40,10 @@ def test_relative_error_is_the_median_pixels() -> None:
 
 def test_batches_are_what_errors_follow_from() -> None:
     samples = np.random.default_rng(9).exponential(size=(400, 5, 5, 2))
-    one, eight = Film.empty(5, 5, np.array([500.0, 600.0])), Film.empty(5, 5, np.array([500.0, 600.0]), batch=8)
+    one, eight = (
+        CameraFilm.empty(5, 5, np.array([500.0, 600.0])),
+        CameraFilm.empty(5, 5, np.array([500.0, 600.0]), batch=8),
+    )
     lit = np.arange(10)
     add(one, np.pad(samples, [(0, 0)] * 3 + [(0, 14)]), 400, 16, lit)
     add(eight, np.pad(samples.reshape(50, 8, 5, 5, 2).sum(axis=1), [(0, 0)] * 3 + [(0, 14)]), 50, 16, lit)
@@ -52,7 +55,7 @@ def test_batches_are_what_errors_follow_from() -> None:
 
 def test_the_mean_spectrum_knows_how_its_errors_go_together() -> None:
     rng = np.random.default_rng(3)
-    film = Film.empty(4, 4, np.array([500.0, 600.0, 700.0]))
+    film = CameraFilm.empty(4, 4, np.array([500.0, 600.0, 700.0]))
     common = rng.exponential(size=(500, 4, 4, 1))
     samples = np.concatenate([common, 2 * common, rng.exponential(size=(500, 4, 4, 1))], axis=3)
     add(film, np.pad(samples, [(0, 0)] * 3 + [(0, 13)]), 500, 16, np.arange(8))
@@ -74,7 +77,7 @@ def test_a_film_comes_back_from_its_dataset_exactly() -> None:
     film = exposed(np.random.default_rng(3).exponential(size=(5, 2, 3, 2)))
     film.trace.append((1.5, 5.0, 0.25))
     film.seconds, film.about = 2.5, {"variant": "llvm_ad_mono"}
-    back = Film.from_dataset(film.to_dataset())
+    back = CameraFilm.from_dataset(film.to_dataset())
     assert np.array_equal(back.total, film.total)
     assert np.array_equal(back.square, film.square)
     assert np.array_equal(back.mean_spectrum()[0], film.mean_spectrum()[0])
@@ -83,6 +86,6 @@ def test_a_film_comes_back_from_its_dataset_exactly() -> None:
 
 
 def test_an_empty_film_shows_nothing() -> None:
-    film = Film.empty(2, 2, np.array([500.0]))
+    film = CameraFilm.empty(2, 2, np.array([500.0]))
     with pytest.raises(InputError, match="Expose"):
         _ = film.radiance

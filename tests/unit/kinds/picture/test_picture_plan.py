@@ -6,7 +6,7 @@ import numpy as np
 from picture_fakes import small
 
 from livlab.effects.plane import ANGLES_DEG, widest_change
-from livlab.kinds.picture.claims import Seen, judge
+from livlab.kinds.picture.claims import PictureSummary, judge
 from livlab.kinds.picture.colour import colour_routes
 from livlab.kinds.picture.config import Colour
 from livlab.kinds.picture.plan import LOOKED_AT, looked_at_of
@@ -49,7 +49,7 @@ def test_the_capsules_haze_is_bluer_under_the_thesis_reading_than_the_parenchyma
 def test_speed_is_a_claim_of_samples_a_second() -> None:
     text = '\n[[criterion]]\nmetric = "speed"\nreading = "thesis"\nwithin = [1e6, 1e9]\n'
     config = small(text)
-    slow, fast = (Seen({}, 0.1, 2.0, 1.0, v) for v in (9e5, 2e6))
+    slow, fast = (PictureSummary({}, 0.1, 2.0, 1.0, v) for v in (9e5, 2e6))
     assert [judge(config, {("", "thesis"): s})[0].verdict for s in (slow, fast)] == ["FAIL", "PASS"]
 
 

@@ -17,7 +17,7 @@ from livlab.kinds import execute as runs
 from livlab.kinds.picture import job as picture
 from livlab.kinds.picture.config import PictureExperiment
 from livlab.kinds.picture.cost import image_error, typical_error
-from livlab.kinds.picture.film import Film
+from livlab.kinds.picture.film import CameraFilm
 from livlab.model.colour import thesis_rgb
 from livlab.model.tissue.stack import OpticalStack
 from livlab.runs.identity import is_complete
@@ -121,7 +121,7 @@ class Stopping(BallCamera):
     run: Any = None
     asked = 0
 
-    def expose(self, film: Film, stack: OpticalStack, *, spp: int, seed: int) -> None:
+    def expose(self, film: CameraFilm, stack: OpticalStack, *, spp: int, seed: int) -> None:
         super().expose(film, stack, spp=spp, seed=seed)
         type(self).asked += 1
         if type(self).asked == 3:
