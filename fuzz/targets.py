@@ -273,7 +273,7 @@ def _run(folder: Path) -> None:
 
 
 def _report(folder: Path) -> None:
-    from livlab.reports.page import build_report
+    from livlab.kinds.report import build_report
 
     build_report(folder)
 

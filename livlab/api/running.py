@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from livlab.api.arguments import explained
 from livlab.api.claims import Claims
 from livlab.api.curve import Spectrum
+from livlab.config.kinds import KINDS
 from livlab.config.load import check_experiment, load_experiment
 from livlab.config.schema import Experiment
 from livlab.core import markup
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
     from livlab.kinds.again import Again
     from livlab.reports.folder import RunData
-
-_MAIN = {"spectral": "spectra", "fit": "fit", "study": "results", "picture": "pictures", "brdf": "fits"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -159,9 +158,13 @@ class RunResult:
         return self.spectra[reading]
 
     def to_pandas(self) -> pd.DataFrame:
-        """The main table: spectra of a spectral run, parameters of a fit, results of a study, else the claims."""
-        main = _MAIN.get(self.kind, "")
-        return self.table(main) if main in self.tables else self.claims.to_pandas()
+        """The kind's main table (`livlab.config.kinds`): spectra of a spectral run, parameters of a fit, and so on.
+
+        A run that did not get that far answers with its claims.
+        """
+        kind = KINDS.get(self.kind)
+        main = next((name for name in kind.main_tables if name in self.tables), "") if kind else ""
+        return self.table(main) if main else self.claims.to_pandas()
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every spectrum on the same axes; returns them.

@@ -78,7 +78,7 @@ def _write(folder: Path, reading: str, rows: list[CostRow]) -> Path:
     from io import BytesIO
 
     from livlab.kinds.checks.cost import COLUMNS
-    from livlab.kinds.execute import rebuild_report
+    from livlab.kinds.report import rebuild_report
     from livlab.reports.cost import cost_figure
     from livlab.reports.figures import style, svg
     from livlab.runs.files import csv_text, open_folder, write_whole

@@ -108,7 +108,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="A run folder, runs/NAME-DIGEST.", metavar="RUN")],
 ) -> None:
     """Build the report of a run folder again, from its files alone."""
-    from livlab.kinds.execute import rebuild_report
+    from livlab.kinds.report import rebuild_report
     from livlab.runs.identity import read_manifest
 
     if not folder.is_dir():

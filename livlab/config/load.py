@@ -118,7 +118,7 @@ def check_experiment(data: Mapping[str, Any], *, source: str = "experiment", tex
         hint = nearest(kind if isinstance(kind, str) else "", known)
         bound = f"must be one of {', '.join(known)}"
         raise ConfigError(f"{source}: kind = {briefly(kind)}: {bound}.", remedy=hint or "Pick one.")
-    model = KINDS[kind].load_model()
+    model = KINDS[kind].load_config()
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -133,7 +133,7 @@ def to_toml(config: Experiment) -> str:
 def json_schema() -> dict[str, Any]:
     """JSON Schema of an experiment file, for editors that complete and check as one types."""
     # Together, so that what two kinds share is defined once, where "$ref" looks for it.
-    refs, shared = models_json_schema([(kind.load_model(), "validation") for kind in KINDS.values()], by_alias=True)
+    refs, shared = models_json_schema([(kind.load_config(), "validation") for kind in KINDS.values()], by_alias=True)
     schema: dict[str, Any] = {"anyOf": list(refs.values()), **shared}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

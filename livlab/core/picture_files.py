@@ -77,6 +77,15 @@ def check_claim(path: Path, field: str, claimed: int, densest: int) -> None:
         raise InputError.of(field, f"{path.name}: {claimed} bytes of pixels", bound, _DAMAGED)
 
 
+def png_size(path: Path) -> tuple[int, int]:
+    """Width and height from a PNG's header; 0, 0 of what is no PNG."""
+    with path.open("rb") as stream:
+        head = stream.read(24)
+    if len(head) < 24 or head[:8] != PNG:
+        return 0, 0
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+
+
 def check_tiff(path: Path, field: str) -> None:
     """Follow the chain of a TIFF's directories once, to its end.
 

@@ -74,7 +74,7 @@ def build_dossier(out: Path) -> Path:
 
 def _copy_reports(site: Site) -> None:
     """Each experiment's report, with a way back; one that is not there is built from its folder."""
-    from livlab.reports.page import build_report
+    from livlab.kinds.report import build_report
 
     for e in site.entries:
         if e.run is None:

@@ -9,8 +9,9 @@ from typing import Any
 from markupsafe import Markup
 
 from livlab.core.files import write_whole
+from livlab.core.picture_files import png_size
 from livlab.dossier.site import MISSING, CellGrid, GridCell, SiteEntry
-from livlab.kinds.picture.report import png_size, shown_pictures
+from livlab.kinds.picture.report import shown_pictures
 from livlab.kinds.picture.report_words import alt_text, caption
 from livlab.reports.figures import drawn_by_livlab, inline
 from livlab.reports.tables import Image, Images, Picture, Text, number

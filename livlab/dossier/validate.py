@@ -204,7 +204,7 @@ def _read(name: str, path: Path, group: str) -> Planned:
 
 def _looked_up(one: Planned, base: Path) -> Ended | None:
     """How it ended if that needs no run: done before, or not to be run at all."""
-    from livlab.kinds.execute import rebuild_report
+    from livlab.kinds.report import rebuild_report
 
     if one.config is None:
         return Ended("failed", one.trouble)

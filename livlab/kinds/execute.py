@@ -22,6 +22,7 @@ from livlab.config.kinds import KINDS
 from livlab.config.load import to_toml
 from livlab.config.schema import Experiment
 from livlab.errors import EnvironmentProblem, Interrupted
+from livlab.kinds.report import rebuild_report
 from livlab.machine.version import __version__
 from livlab.runs.compare import timeless_hashes
 from livlab.runs.files import locked, open_folder, read_csv, write_whole
@@ -218,19 +219,6 @@ def _report(folder: Path, wanted: bool, *, only_missing: bool) -> Path | None:
     if only_missing and page.exists():
         return page
     return rebuild_report(folder)
-
-
-def rebuild_report(folder: Path) -> Path:
-    """Build the report of a run folder again, from its files alone."""
-    from livlab.reports.page import build_report
-
-    try:
-        return build_report(folder)
-    except OSError as error:
-        raise EnvironmentProblem(
-            f"The result is kept in {folder}, but its report cannot be written: {error.strerror or error}.",
-            remedy=f"Mend that, then: livlab report {folder}",
-        ) from error
 
 
 def _outcome(folder: Path, report: Path | None, *, cached: bool) -> Outcome:

@@ -8,7 +8,7 @@ import xarray as xr
 
 from livlab.config import parse_experiment
 from livlab.kinds.execute import execute
-from livlab.reports.page import build_report
+from livlab.kinds.report import build_report
 
 TEXT = """
 schema = 1

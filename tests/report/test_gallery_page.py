@@ -12,14 +12,15 @@ import pytest
 from picture_fakes import BallCamera, small
 
 from livlab.cli.gallery import finished
+from livlab.core.picture_files import png_size
 from livlab.errors import ConfigError, InputError
 from livlab.kinds import execute as runs
 from livlab.kinds.picture import job as picture
 from livlab.kinds.picture.gallery import build_gallery
 from livlab.kinds.picture.gallery_small import small_copies
 from livlab.kinds.picture.gallery_table import picture_table
-from livlab.kinds.picture.report import png_size
 from livlab.kinds.picture.report_words import colour_words
+from livlab.kinds.report import rebuild_report
 
 TITLE = 'readings = ["thesis", "measured"]\ntitle = "A <ball> & more"\nbaselines = ["lambert"]\n'
 FAILS = '\n[[criterion]]\nmetric = "lightness"\nreading = "thesis"\nwithin = [0, 10]\n'
@@ -53,7 +54,7 @@ def test_the_report_holds_every_picture_and_asks_for_nothing(folder: Path) -> No
 
 def test_the_report_comes_again_from_the_folder_alone(folder: Path) -> None:
     before = (folder / "report.html").read_text(encoding="utf-8")
-    assert runs.rebuild_report(folder).read_text(encoding="utf-8") == before
+    assert rebuild_report(folder).read_text(encoding="utf-8") == before
 
 
 def test_the_gallery_copies_its_pictures_and_names_their_cost(folder: Path, tmp_path: Path) -> None:
@@ -116,7 +117,7 @@ def test_colours_in_words(colour: tuple[float, float, float], words: str) -> Non
 
 def test_an_unfinished_run_says_so(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from livlab.errors import Interrupted
-    from livlab.reports.page import build_report
+    from livlab.kinds.report import build_report
 
     class Stopped(BallCamera):
         def expose(self, film: Any, stack: Any, *, spp: int, seed: int) -> None:

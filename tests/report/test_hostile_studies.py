@@ -22,7 +22,7 @@ from livlab.dossier.config import load_dossier
 from livlab.dossier.validate import Ended, planned, record
 from livlab.errors import InputError
 from livlab.kinds.execute import execute
-from livlab.reports.page import build_report
+from livlab.kinds.report import build_report
 
 MARK = "window.hit=1"
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from fuzz.seeds import seeds
 from livlab.errors import InputError
 from livlab.kinds.picture.gallery import build_gallery
+from livlab.kinds.report import build_report
 from livlab.reports.figures import drawn_by_livlab, svg
-from livlab.reports.page import build_report
 
 EVIL = (
     '"><img src=x onerror="window.hit=1;alert(1)"></title></style></script><script>window.hit=1;alert(1)</script>'

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from livlab.reports.page import build_report
+from livlab.kinds.report import build_report
 
 Writer = Callable[..., Path]
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

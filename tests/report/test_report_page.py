@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from livlab.errors import EnvironmentProblem, InputError
-from livlab.reports.page import build_report
+from livlab.kinds.report import build_report
 
 Writer = Callable[..., Path]
 VOID = {"meta", "link", "br", "img", "input", "hr"}

@@ -11,8 +11,8 @@ from study_texts import BLOOD, MEAN, OXYGEN, READING, text
 
 from livlab.config import parse_experiment
 from livlab.kinds.execute import execute
+from livlab.kinds.report import build_report
 from livlab.kinds.study.report import verdict_sentences
-from livlab.reports.page import build_report
 
 PEAK = '[[output]]\nmetric = "peak wavelength"\n'
 TARGET = '[ablation]\nbases = ["thesis"]\ntowards = "consistent"\n[[ablation.target]]\noutput = "mean"\n'

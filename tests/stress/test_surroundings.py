@@ -14,6 +14,7 @@ from livlab.brdf.files.formats import read_brdf
 from livlab.config import load_experiment
 from livlab.errors import ConfigError, LivlabError
 from livlab.kinds import execute as runs
+from livlab.kinds.report import rebuild_report
 from livlab.model.shapes import box
 from livlab.runs import identity as identity_of
 
@@ -163,7 +164,7 @@ def test_a_manifest_that_lies(place: Path, manifest: dict[str, object], status: 
     assert not identity_of.is_complete(folder, identity)
     (folder / "config.toml").write_text(CONFIG, encoding="utf-8")
     try:
-        runs.rebuild_report(folder)
+        rebuild_report(folder)
     except LivlabError as error:
         assert error.remedy
     assert runs.execute(config, base=place / "runs", report=False).folder == folder

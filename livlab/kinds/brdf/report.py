@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
+from livlab.core.picture_files import png_size
 from livlab.kinds.brdf import report_figures as drawn
-from livlab.kinds.picture.report import png_size
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData, beneath
 from livlab.reports.tables import Image, Images, ReportSection, Text, from_frame, number, with_error
@@ -21,8 +21,8 @@ def brdf_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """The sections of a BRDF run between its claims and its provenance."""
     if run.config.get("tissue") is None:
         return [_spheres(run), _samples(run, pictures), _lobes(run, pictures), _fits(run)]
-    from livlab.reports.page import tissue_section
     from livlab.reports.readings import readings_section
+    from livlab.reports.tissue import tissue_section
 
     return [
         _spheres(run),

@@ -15,8 +15,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from livlab.core.files import write_whole
+from livlab.core.picture_files import png_size
 from livlab.errors import InputError
-from livlab.kinds.picture.report import png_size, shown_pictures
+from livlab.kinds.picture.report import shown_pictures
 from livlab.kinds.picture.report_words import alt_text, caption, findings, light_words
 from livlab.machine.version import __version__
 from livlab.reports.folder import RunData, read_run, sound

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from livlab.core.picture_files import png_size
 from livlab.kinds.picture import report_figures as drawn
 from livlab.kinds.picture.report_words import above, alt_text, caption, findings, last_layer, light_words, own_name
 from livlab.reports.figures import Pictures
@@ -18,8 +19,8 @@ from livlab.reports.tables import Image, Images, ReportSection, Text, from_frame
 def picture_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """The sections of a picture run between its claims and its provenance."""
     from livlab.reports.effects import simulated
-    from livlab.reports.page import tissue_section
     from livlab.reports.readings import readings_section
+    from livlab.reports.tissue import tissue_section
 
     return [
         _pictures(run),
@@ -41,15 +42,6 @@ def shown_pictures(run: RunData, *, baselines: bool = False) -> list[dict[str, A
         return []
     rows = [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]
     return [r for r in rows if pd.notna(r.get("baseline")) == baselines and beneath(run.path, r.get("png")) is not None]
-
-
-def png_size(path: Path) -> tuple[int, int]:
-    """Width and height from a PNG's header."""
-    with path.open("rb") as stream:
-        head = stream.read(24)
-    if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n":
-        return 0, 0
-    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
 
 
 def _inline(path: Path) -> str:

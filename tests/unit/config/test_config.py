@@ -229,7 +229,7 @@ def test_what_is_written_out_and_what_is_left_out_have_one_digest() -> None:
 def test_the_json_schema_knows_every_section_and_says_what_they_mean() -> None:
     whole = json_schema()
     kinds = {ref["$ref"].rpartition("/")[2] for ref in whole["anyOf"]}
-    assert kinds == {kind.load_model().__name__ for kind in KINDS.values()}
+    assert kinds == {kind.load_config().__name__ for kind in KINDS.values()}
     assert {"SpectralExperiment", "PictureExperiment", "OpticsExperiment"} <= kinds
     for kind in kinds:
         schema = whole["$defs"][kind]

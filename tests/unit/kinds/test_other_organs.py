@@ -19,13 +19,13 @@ from livlab.errors import ConfigError, InputError
 from livlab.kinds.execute import execute
 from livlab.kinds.picture.report_words import above, last_layer
 from livlab.kinds.picture.scene import nested_stack
+from livlab.kinds.report import build_report
 from livlab.kinds.shared.tissue_tables import readings
 from livlab.kinds.spectral.bench import bench_data
 from livlab.model.tissue.optics import coefficients, optical_stack
 from livlab.model.tissue.presets import load_preset
 from livlab.model.tissue.readings import READINGS, rows
 from livlab.model.tissue.table import tissue_table
-from livlab.reports.page import build_report
 
 GRID = np.array([450.0, 500.0, 550.0])
 SOLUTE = "layers.dermis.elements.oxyhaemoglobin"

@@ -61,9 +61,11 @@ def prepare(config: Sums) -> Callable[[Run], None]:
 @pytest.fixture(autouse=True)
 def _sums_kind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     module = types.ModuleType("sums_kind")
-    module.Sums, module.prepare = Sums, prepare  # type: ignore[attr-defined]
+    module.Sums, module.prepare, module.sections = Sums, prepare, lambda run, pictures: []  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "sums_kind", module)
-    monkeypatch.setitem(config_module.KINDS, "sums", Kind("sums_kind:Sums", "sums_kind:prepare"))
+    monkeypatch.setitem(
+        config_module.KINDS, "sums", Kind("sums_kind:Sums", "sums_kind:prepare", "sums_kind:sections", "totals")
+    )
     DONE.clear()
     HOOK.clear()
     yield

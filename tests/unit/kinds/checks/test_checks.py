@@ -6,11 +6,13 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+from livlab.api.running import open_run
 from livlab.config import parse_experiment
 from livlab.kinds.checks.config import StressExperiment
 from livlab.kinds.checks.cost import CostRow
 from livlab.kinds.checks.job import case_claims, ladder_claims
 from livlab.kinds.execute import execute
+from livlab.runs.files import read_csv
 from livlab.stress.run import Line
 
 LINE = Line("fresnel/normal", "r", "light along the normal", 0.04, 0.0, 0.04, 1e-9, "PASS", 0.1, "", "closed form")
@@ -36,6 +38,9 @@ def test_a_run_of_hard_cases_is_a_run_like_any_other(tmp_path: Path) -> None:
     assert all("fresnel/" in c["criterion"] for c in done.claims)
     assert done.report is not None
     assert "Hard cases" in done.report.read_text(encoding="utf-8")
+    assert list(open_run(done.folder).to_pandas()["criterion"]) == [
+        r["criterion"] for r in read_csv(done.folder / "stress.csv")
+    ]
     assert execute(config, base=tmp_path).cached
     resolved = config.resolve()
     assert isinstance(resolved, StressExperiment)
@@ -72,6 +77,7 @@ def test_a_ladder_runs_from_its_file_to_its_report(tmp_path: Path) -> None:
         '[tissue.set]\n"layers.parenchyma.thickness_mm" = inf\n'
     )
     done = execute(parse_experiment(text), base=tmp_path)
+    assert {"solver", "error", "stated"} <= set(open_run(done.folder).to_pandas().columns)
     assert any(c["criterion"] == "largest error over what it states: walk expected" for c in done.claims)
     assert done.report is not None
     assert (done.folder / "figures" / "cost-of-every-solver.svg").is_file()

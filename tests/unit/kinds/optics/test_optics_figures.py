@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from livlab.api.running import open_run
 from livlab.config import builtin_experiments, load_experiment, parse_experiment, to_toml
 from livlab.errors import ConfigError, InputError
 from livlab.kinds.execute import execute
@@ -45,6 +46,8 @@ def test_the_experiments_that_come_with_livlab_pass_all_their_claims(name: str, 
     drawn = {p.stem for p in (outcome.folder / "figures").glob("*.svg")}
     wanted = {"absorption"} if "absorption" in name else {"phase", "phase-polar", "spectra", "efficiencies", "validity"}
     assert drawn == wanted
+    main = open_run(outcome.folder).to_pandas()
+    assert ("absorption_per_cm" if "absorption" in name else "q_sca_mie") in main.columns
     assert execute(load_experiment(builtin_experiments()[name]), base=tmp_path).cached
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 from livlab.config import parse_experiment, to_toml
 from livlab.errors import ConfigError
 from livlab.kinds.execute import execute
-from livlab.reports.page import build_report
+from livlab.kinds.report import build_report
 from livlab.runs.files import read_csv
 from livlab.runs.identity import read_manifest
 
