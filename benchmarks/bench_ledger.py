@@ -85,9 +85,9 @@ def timed(work: Callable[[], Any]) -> tuple[Any, Spent]:
 
 def measure(name: str, error: float, variant: Variant, share: float) -> None:
     stack = CASES[name]()
-    record(stack, samples=4096, seed=1, variant=variant).spectrum(worn="mark")  # compile
+    record(stack, samples=4096, seed=1, variant=variant).spectrum(degenerate="mark")  # compile
     ledger, recorded = timed(lambda: record(stack, standard_error=error, seed=2, variant=variant))
-    found, answered = timed(lambda: ledger.spectrum(worn="mark"))
+    found, answered = timed(lambda: ledger.spectrum(degenerate="mark"))
     reached = float(found.reflectance_se.max())
     print(f"{name}: {len(stack.layers)} layers, {BAND.size} wavelengths, reflectance {_range(found.reflectance)}")
     print(f"  ledger    {recorded} to record {ledger.photons} photons at {len(ledger.anchors)} anchors")

@@ -258,7 +258,7 @@ def _photographs(folder: Path) -> None:
 
 
 def _ledger(path: Path) -> None:
-    from livlab.model.transport.ledger.file import load
+    from livlab.model.transport.ledger.record_ledger import load
 
     load(path)
 

@@ -66,7 +66,7 @@ def _recorded(stack: OpticalStack, exact: xr.Dataset, samples: int, angle: float
     from livlab.model.transport.source import Source
 
     ledger = record(stack, samples=samples // 4, seed=5, source=Source.collimated(angle), check_bias=False)
-    r = ledger.spectrum(worn="mark")
+    r = ledger.spectrum(degenerate="mark")
     names = ("reflectance", "transmittance")
     found, error = (np.concatenate([r[f"{n}{end}"].to_numpy().ravel() for n in names]) for end in ("", "_se"))
     want = np.concatenate([exact[n].to_numpy().ravel() for n in names])
@@ -96,7 +96,7 @@ def ledger_absorptions(
     )
     wavelength = np.linspace(500.0, 600.0, len(absorption))
     stack = OpticalStack(wavelength, (PlaneLayer("bulk", math.inf, n * one, parts),), one, one)
-    r = record(stack, samples=samples, seed=1, check_bias=False).spectrum(worn="mark")
+    r = record(stack, samples=samples, seed=1, check_bias=False).spectrum(degenerate="mark")
     exact = adding_doubling(stack).reflectance.to_numpy()
     value, error, valid = (r[k].to_numpy() for k in ("reflectance", "reflectance_se", "valid"))
     with np.errstate(invalid="ignore", divide="ignore"):

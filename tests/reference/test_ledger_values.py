@@ -65,7 +65,7 @@ def test_two_layers_of_unequal_index_over_absorption():
     found = ledger.spectrum()
     within(found, np.array([0.462956, 0.145001, 0.040643]) - 0.0232692)
     thinner, thicker = (
-        ledger.spectrum(many([(t, 1.36, 0.01, 10.0, hg), (50.0, 1.38, 0.5 * np.ones(3), 15.0, hg)]), worn="mark")
+        ledger.spectrum(many([(t, 1.36, 0.01, 10.0, hg), (50.0, 1.38, 0.5 * np.ones(3), 15.0, hg)]), degenerate="mark")
         for t in (0.08, 0.125)
     )
     for other, thickness in ((thinner, 0.08), (thicker, 0.125)):

@@ -49,7 +49,7 @@ def test_read_back_the_same(ledger, tmp_path, small):
     assert back.about == kept.about
     for name in ("degree", "scaled", "counted", "positions", "depth_bias"):
         assert getattr(back, name) == getattr(kept, name)
-    xr.testing.assert_identical(back.spectrum(worn="mark"), kept.spectrum(worn="mark"))
+    xr.testing.assert_identical(back.spectrum(degenerate="mark"), kept.spectrum(degenerate="mark"))
     one = (kept.served.absorption, kept.served.scattering)
     xr.testing.assert_identical(
         back.evaluate(*one, wavelength_nm=W, gradient=True), kept.evaluate(*one, wavelength_nm=W, gradient=True)

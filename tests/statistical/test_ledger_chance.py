@@ -186,7 +186,7 @@ def test_interpolation_bias_is_what_is_left_with_many_photons():
     told = interpolation_bias(
         made, ledger.anchors, (0, 3), ledger.degree, ledger.bear, ledger.scaled, Light.collimated(), at=[1, 2]
     )
-    found = ledger.spectrum(worn="mark")
+    found = ledger.spectrum(degenerate="mark")
     off = found.reflectance.to_numpy()[1:3] - adding_doubling(made).reflectance.to_numpy()[1:3]
     error = found.reflectance_se.to_numpy()[1:3]
     assert (np.abs(off - told) < 4 * error).all(), (off, told, error)

@@ -69,3 +69,20 @@ class Source:
     def reach_mm(self) -> float:
         """Largest |x| or |y| of an entry point."""
         return max(self.square_half_width_mm, self.disc_radius_mm)
+
+
+def check_half_width(half_width_mm: float | None, source: Source) -> None:
+    """Refuse a square sample without size, or narrower than the beam; None has no sides.
+
+    Raises
+    ------
+    InputError
+    """
+    if half_width_mm is None:
+        return
+    if not half_width_mm > 0 or math.isinf(half_width_mm):
+        raise InputError.of("half_width_mm", half_width_mm, "must be finite and > 0", "Use None for no sides.")
+    if source.reach_mm > half_width_mm:
+        raise InputError.of(
+            "source", source.reach_mm, f"beam reaches beyond half_width_mm = {half_width_mm}", "Narrow the beam."
+        )

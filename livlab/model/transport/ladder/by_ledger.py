@@ -104,7 +104,7 @@ def recorded(
         most_photons=MOST,
     )
     # The ledger sorts its wavelengths.
-    found = made.spectrum(worn="mark").sel(wavelength=stack.wavelength_nm)
+    found = made.spectrum(degenerate="mark").sel(wavelength=stack.wavelength_nm)
     total, total_error = found["reflectance"].to_numpy(), found["reflectance_se"].to_numpy()
     if view.tally.binned:
         value, error = found["reflectance_binned"].to_numpy(), found["reflectance_binned_se"].to_numpy()

@@ -11,29 +11,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError
 from livlab.model.transport.ledger.data import SIDES, Anchors, Coefficients, Compression, Detector, Entries
+from livlab.model.transport.ledger.recording import SAYS, Recording
 from livlab.units import FloatArray
 
-if TYPE_CHECKING:
-    from livlab.model.transport.ledger.ledger import Ledger
+R = TypeVar("R", bound=Recording)
 
 _LEVELS = 40
 _PROBES = 12
 _NARROW = 0.2
 _CHECKED = 192  # settings at which a compression is measured
 _RANGE = (partial(np.min, axis=1), partial(np.max, axis=1))
-SAYS = 1e-3
-"""Least |c| of an anchor that has a say in an answer."""
 
 
 @dataclass(frozen=True)
-class Domain:
+class AnchorDomain:
     """Settings that one anchor's rows must answer for.
 
     Attributes
@@ -85,13 +83,13 @@ def widened(served: Coefficients, absorption: float, scattering: float) -> Coeff
     )
 
 
-def domain(theta: FloatArray, c: FloatArray) -> Domain:
+def anchor_domain(theta: FloatArray, c: FloatArray) -> AnchorDomain:
     """The part of the settings in which an anchor has a say: exponents (F, S), and its weights c (S,)."""
     use = np.abs(c) > SAYS
-    return Domain(theta[:, use], np.abs(c[use]))
+    return AnchorDomain(theta[:, use], np.abs(c[use]))
 
 
-def compress(entries: Entries, anchors: Anchors, domains: list[Domain], tolerance: float) -> Entries:
+def compress(entries: Entries, anchors: Anchors, domains: list[AnchorDomain], tolerance: float) -> Entries:
     """Rows binned so that no answer of the domain is predicted to change by more than the tolerance.
 
     Raises
@@ -121,19 +119,19 @@ def compress(entries: Entries, anchors: Anchors, domains: list[Domain], toleranc
         return entries
     columns = [np.concatenate(c) for c in zip(*parts, strict=True)]
     return Entries(
-        columns[0].astype(np.uint16),
-        columns[1].astype(np.uint8),
-        columns[2].astype(np.int32),
-        columns[3].astype(np.float32),
-        columns[4].astype(np.float32),
-        columns[5].astype(np.float32),
-        np.empty(0, dtype=np.float32),
-        np.empty(0, dtype=np.float32),
+        anchor=columns[0].astype(np.uint16),
+        side=columns[1].astype(np.uint8),
+        bin=columns[2].astype(np.int32),
+        features=columns[3].astype(np.float32),
+        log_weight=columns[4].astype(np.float32),
+        concentration=columns[5].astype(np.float32),
+        cosine=np.empty(0, dtype=np.float32),
+        radius=np.empty(0, dtype=np.float32),
     )
 
 
 def _binned(
-    x: FloatArray, log_weight: FloatArray, where: Domain, budget: float
+    x: FloatArray, log_weight: FloatArray, where: AnchorDomain, budget: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Features, log weight and concentration of each bin."""
     centre = np.average(where.theta, axis=1, weights=where.weight)
@@ -216,12 +214,12 @@ def _split(z: FloatArray, heavy: FloatArray, budget: float) -> NDArray[np.int64]
 
 
 def compress_ledger(
-    ledger: Ledger,
+    ledger: R,
     tolerance: float | None,
     absorption_spread: float,
     scattering_spread: float,
     also: Sequence[Coefficients] = (),
-) -> Ledger:
+) -> R:
     """A ledger binned until the error measured over its domain is within the tolerance: `Ledger.compressed`."""
     for name, value in (("absorption_spread", absorption_spread), ("scattering_spread", scattering_spread)):
         if not 0.0 <= value < 1.0:
@@ -234,7 +232,7 @@ def compress_ledger(
     low, high = (np.stack([f(x.theta[:, np.abs(c[:, k]) > SAYS]) for k, x in enumerate(theta)]) for f in _RANGE)
     some = sets.take(np.arange(0, len(sets), max(1, len(sets) // _CHECKED)))
     c, theta = ledger.theta(some)
-    domains = [domain(x.theta, c[:, k]) for k, x in enumerate(theta)]
+    domains = [anchor_domain(x.theta, c[:, k]) for k, x in enumerate(theta)]
     sides = [Detector.total("up"), Detector.total("down")]
     truth = [ledger.answer(some, x).value for x in sides]
     wanted = tolerance

@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -16,12 +16,14 @@ from livlab.core.netcdf import NetcdfTrouble, load_netcdf
 from livlab.errors import DatasetError, EnvironmentProblem
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.ledger.data import Anchors, Coefficients, Compression, Entries
-from livlab.model.transport.ledger.ledger import Ledger
+from livlab.model.transport.ledger.recording import Recording
 from livlab.model.transport.source import Source
 from livlab.model.transport.tally import Tally
 
 if TYPE_CHECKING:
     import xarray as xr
+
+R = TypeVar("R", bound=Recording)
 
 FORMAT = "livlab ledger"
 VERSION = 1
@@ -82,7 +84,7 @@ def stack_digest(stack: OpticalStack) -> str:
     return digest.hexdigest()
 
 
-def save(ledger: Ledger, path: Path) -> None:
+def save(ledger: Recording, path: Path) -> None:
     """Write a ledger; an old file stays until the new one is whole.
 
     Raises
@@ -143,8 +145,8 @@ def save(ledger: Ledger, path: Path) -> None:
         ) from error
 
 
-def load(path: Path | str) -> Ledger:
-    """Read a ledger that `Ledger.save` wrote.
+def load(path: Path | str, kind: type[R]) -> R:
+    """Read a ledger that `save` wrote, as a kind of `Recording`.
 
     Raises
     ------
@@ -165,7 +167,7 @@ def load(path: Path | str) -> Ledger:
         version = found.attrs.get("version")
         raise DatasetError.of("ledger", path.name, f"has version {version}, this livlab reads {VERSION}", _REMEDY)
     try:
-        ledger = _from(found)
+        ledger = _from(found, kind)
     except (LookupError, ValueError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise DatasetError.of("ledger", path.name, f"is damaged ({first_line(error)})", _REMEDY) from error
     held = {str(name): values.to_numpy() for name, values in found.variables.items()}
@@ -174,7 +176,7 @@ def load(path: Path | str) -> Ledger:
     return ledger
 
 
-def _from(found: xr.Dataset) -> Ledger:
+def _from(found: xr.Dataset, kind: type[R]) -> R:
     about = json.loads(found.attrs["ledger"])
     for name, dims in _DIMS.items():
         if found[name].dims != dims:
@@ -199,21 +201,21 @@ def _from(found: xr.Dataset) -> Ledger:
     more = dict(about["about"])
     more["half_width_mm"] = _number(more["half_width_mm"])
     tally = about["tally"]
-    return Ledger(
-        entries,
-        Anchors(**walks),
-        served,
-        int(about["degree"]),
-        bool(about["scaled"]),
-        counted,
-        Tally(tuple(tally["theta_edges"]), tuple(_number(x) for x in tally["radius_edges"])),
-        Source(**about["source"]),
-        bool(about["positions"]),
-        found["paths"].to_numpy().astype(np.float64),
-        found["bear"].to_numpy().astype(np.float64),
-        float(about["depth_bias"]),
-        more,
-        compression,
+    return kind(
+        entries=entries,
+        anchors=Anchors(**walks),
+        served=served,
+        degree=int(about["degree"]),
+        scaled=bool(about["scaled"]),
+        counted=counted,
+        tally=Tally(tuple(tally["theta_edges"]), tuple(_number(x) for x in tally["radius_edges"])),
+        source=Source(**about["source"]),
+        positions=bool(about["positions"]),
+        paths=found["paths"].to_numpy().astype(np.float64),
+        bear=found["bear"].to_numpy().astype(np.float64),
+        depth_bias=float(about["depth_bias"]),
+        about=more,
+        compression=compression,
     )
 
 

@@ -4,7 +4,7 @@ Phase functions and refractive indices of a recorded path cannot be changed, so 
 of an anchor wavelength, are put together with weights c_a(λ) that reproduce polynomials: what stays of the change
 of phase functions and indices is of one order more.
 
-A change of scattering is a ratio of densities, but one that wears out: its variance grows with the number of
+A change of scattering is a ratio of densities whose weights degenerate: their variance grows with the number of
 scatterings. So the polynomial carries what it can of that change too. With ln s' = P(λ) + r(λ), P the polynomial
 through the anchors' own reduced scattering, an anchor only has to be reweighted by the small rest r (and by a
 share `bear` of P, as much as costs little): Σ c_a R_a(s_a e^r) is then exact but for the curvature of R along P.
@@ -41,12 +41,12 @@ LEAST_SHARE = 0.55
 
 _MAINLY = 0.35  # share of the largest |c| from which on an anchor mainly answers
 
-WORN = 2.0
+LARGEST_DEGENERACY = 2.0
 """Largest log of the variance that a reweighting may add."""
 
 
 @dataclass(frozen=True)
-class Plan:
+class RecordingPlan:
     """What to walk.
 
     Attributes
@@ -138,13 +138,13 @@ def similar(sets: Coefficients, anchors: Anchors, k: int, level: FloatArray, sca
     return np.asarray(np.where((own > 0) & (sets.scattering > 0), factor, 1.0))
 
 
-def wear_of(
+def degeneracy_of(
     sets: Coefficients, anchors: Anchors, k: int, level: FloatArray, scaled: bool, paths: FloatArray
 ) -> FloatArray:
-    """(S,) log of the variance that the change of coefficients adds: Σ ℓ̄ [(s' − s)²/s + max(µ_ref − µ', 0)].
+    """(S,) weight degeneracy: the log of the variance that a change of coefficients adds.
 
-    The first is exact for the Poisson process of scatterings along a path of mean length ℓ̄ ((S, L) or (L,), mm),
-    infinite where scattering appears in a layer that had none.
+    Σ ℓ̄ [(s' − s)²/s + max(µ_ref − µ', 0)]. The first is exact for the Poisson process of scatterings along a path of
+    mean length ℓ̄ ((S, L) or (L,), mm), infinite where scattering appears in a layer that had none.
     """
     s = sets.scattering * similar(sets, anchors, k, level, scaled)
     own, absorbed = anchors.scattering[k], sets.absorption.copy()
@@ -168,7 +168,7 @@ def make_plan(
     reserve: float,
     degree: int,
     anchors: int | None = None,
-) -> Plan:
+) -> RecordingPlan:
     """What to walk with polynomials of a degree.
 
     Parameters
@@ -195,7 +195,7 @@ def make_plan(
     layers = range(len(stack.layers) - 1 if scaled else len(stack.layers))
     counted = tuple(k for k in layers if bool((own.scattering[list(rows), k] > 0).any()))
     reference = _reference(own.take(rows), sets, degree, scaled, reserve)
-    return Plan(rows, degree, scaled, counted, reference, deep if scaled else 0.0)
+    return RecordingPlan(rows, degree, scaled, counted, reference, deep if scaled else 0.0)
 
 
 def depth_bias(sets: Coefficients) -> float:
@@ -236,14 +236,14 @@ class Share:
     ----------
     bear
         (L,) share of the polynomial part that reweighting bears.
-    wear
+    degeneracy
         What the reweighting then adds at most to the log variance of an anchor that mainly answers.
     curvature
         Largest relative error of interpolating the rest of the polynomial part's exponential.
     """
 
     bear: FloatArray
-    wear: float
+    degeneracy: float
     curvature: float
 
 
@@ -252,13 +252,13 @@ def share(sets: Coefficients, anchors: Anchors, degree: int, scaled: bool, paths
     c = blend(sets.wavelength_nm, anchors.wavelength_nm, degree)
     mainly = np.abs(c) >= _MAINLY * np.abs(c).max(axis=1, keepdims=True)
 
-    def wear(bear: FloatArray) -> float:
+    def degeneracy(bear: FloatArray) -> float:
         level = levels(anchors, c, bear)
-        each = [wear_of(sets, anchors, k, level[k], scaled, paths) for k in range(len(anchors))]
+        each = [degeneracy_of(sets, anchors, k, level[k], scaled, paths) for k in range(len(anchors))]
         return float(np.stack(each, axis=1)[mainly].max())
 
     layers = len(paths)
-    free, full = wear(np.zeros(layers)), wear(np.ones(layers))
+    free, full = degeneracy(np.zeros(layers)), degeneracy(np.ones(layers))
     bear = np.ones(layers)
     if full - free > CHEAP:
         bear *= math.sqrt(CHEAP / (full - free))
@@ -266,13 +266,13 @@ def share(sets: Coefficients, anchors: Anchors, degree: int, scaled: bool, paths
     s = (anchors.scattering * (1.0 - anchors.anisotropy))[:, :layers]
     some = s.min(axis=0) > 0
     if not some.any():
-        return Share(bear, wear(bear), 0.0)
+        return Share(bear, degeneracy(bear), 0.0)
     left = ((1.0 - bear[:layers]) * np.log(np.where(some, s, 1.0)))[:, some]
     curvature = float(np.abs((c @ np.exp(left)) / np.exp(c @ left) - 1.0).max())
-    return Share(bear, wear(bear), curvature)
+    return Share(bear, degeneracy(bear), curvature)
 
 
-def reference_stack(stack: OpticalStack, plan: Plan, keep_factor: bool) -> OpticalStack:
+def reference_stack(stack: OpticalStack, plan: RecordingPlan, keep_factor: bool) -> OpticalStack:
     """The stack to walk: the anchors' scatterers, and the reference absorption instead of all that absorbs.
 
     Unless `keep_factor`, a factor of Algorithm 2 is met by its mean, as a smaller rate.

@@ -14,8 +14,9 @@ import xarray as xr
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.ledger.data import Coefficients, Detector, Side
-from livlab.model.transport.ledger.ledger import Answer, Ledger, Worn
-from livlab.model.transport.ledger.plan import WORN, specular
+from livlab.model.transport.ledger.plan import LARGEST_DEGENERACY, specular
+from livlab.model.transport.ledger.recording import LEAST_SAMPLES, Answer, Recording, WhenDegenerate
+from livlab.model.transport.ledger.walks import RecordingRequest, RecordingTarget, make_recording
 from livlab.units import FloatArray
 
 INDEX_TOLERANCE = 2e-3
@@ -31,12 +32,14 @@ _MEANING = {
     "specular": "Fresnel reflection at the first surface",
     "taken": "light absorbed in all layers together, or removed by the redirect factor of Algorithm 2",
     "ess": "effective sample size of the reflectance",
-    "wear": "log of the variance added by reweighting",
+    "degeneracy": "weight degeneracy: log of the variance added by reweighting",
     "valid": "whether the ledger can answer",
 }
 
 
-def settings_of(ledger: Ledger, absorption: Any, scattering: Any, wavelength_nm: Any, anisotropy: Any) -> Coefficients:
+def settings_of(
+    ledger: Recording, absorption: Any, scattering: Any, wavelength_nm: Any, anisotropy: Any
+) -> Coefficients:
     """Checked arrays as settings."""
     a = np.atleast_2d(np.asarray(absorption, dtype=np.float64))
     s = np.atleast_2d(np.asarray(scattering, dtype=np.float64))
@@ -64,7 +67,7 @@ def settings_of(ledger: Ledger, absorption: Any, scattering: Any, wavelength_nm:
     return replace(base, absorption=a, scattering=s, anisotropy=g)
 
 
-def fitted(ledger: Ledger, stack: OpticalStack) -> Coefficients:
+def fitted(ledger: Recording, stack: OpticalStack) -> Coefficients:
     """A stack's coefficients as the ledger can serve them."""
     sets = Coefficients.of(stack)
     if len(stack.layers) != len(ledger.layers):
@@ -107,12 +110,13 @@ def refuse(found: Answer, sets: Coefficients, least_samples: float) -> None:
         "ledger",
         f"{bad.size} of {len(sets)} settings, first at {sets.wavelength_nm[k]:g} nm",
         f"cannot be answered: effective samples {found.effective_samples[k]:.0f} (wanted {least_samples:g}), "
-        f"added log variance {found.wear[k]:.2g} (at most {WORN:g}), or optics beyond what was recorded or compressed",
+        f"added log variance {found.degeneracy[k]:.2g} (at most {LARGEST_DEGENERACY:g}), "
+        "or optics beyond what was recorded or compressed",
         "Record more photons, or with these coefficients served.",
     )
 
 
-def attributes(ledger: Ledger) -> dict[str, Any]:
+def attributes(ledger: Recording) -> dict[str, Any]:
     """What every answer says about its ledger."""
     kept = ("seed", "variant", "stack", "digest", "seconds", "compile_seconds", "interpolation_bias")
     return {
@@ -126,7 +130,7 @@ def attributes(ledger: Ledger) -> dict[str, Any]:
     }
 
 
-def evaluation(ledger: Ledger, found: Answer, sets: Coefficients, gradient: bool) -> xr.Dataset:
+def evaluation(ledger: Recording, found: Answer, sets: Coefficients, gradient: bool) -> xr.Dataset:
     """Answers on `set`."""
     layers = ledger.layers
     out = xr.Dataset(
@@ -134,7 +138,7 @@ def evaluation(ledger: Ledger, found: Answer, sets: Coefficients, gradient: bool
             "value": ("set", found.value, {"units": "1"}),
             "value_se": ("set", found.standard_error, {"units": "1"}),
             "ess": ("set", found.effective_samples, {"long_name": "effective sample size"}),
-            "wear": ("set", found.wear, {"long_name": _MEANING["wear"]}),
+            "degeneracy": ("set", found.degeneracy, {"long_name": _MEANING["degeneracy"]}),
             "valid": ("set", found.valid),
         },
         coords={"wavelength": ("set", sets.wavelength_nm, {"units": "nm"}), "layer": list(layers)},
@@ -152,7 +156,7 @@ def evaluation(ledger: Ledger, found: Answer, sets: Coefficients, gradient: bool
 
 
 def spectrum(
-    ledger: Ledger, sets: Coefficients, stack: OpticalStack | None, worn: Worn, least_samples: float
+    ledger: Recording, sets: Coefficients, stack: OpticalStack | None, degenerate: WhenDegenerate, least_samples: float
 ) -> xr.Dataset:
     """Answers on `wavelength`, as `Ledger.spectrum` describes them."""
     base = ledger.served.at(sets.wavelength_nm)
@@ -160,14 +164,14 @@ def spectrum(
     answers = {name: ledger.answer(sets, Detector.total(s), (), least_samples) for name, s in _SIDES.items()}
     first = answers["reflectance"]
     valid = first.valid & known
-    if worn == "raise":
+    if degenerate == "raise":
         refuse(replace(first, valid=valid), sets, least_samples)
     data: dict[str, FloatArray] = {}
     for name, found in answers.items():
         data[name], data[f"{name}_se"] = found.value, found.standard_error
     data["specular"] = specular(sets.index, ledger.source)
     data["taken"] = 1.0 - data["specular"] - sum(found.value for found in answers.values())
-    data |= {"ess": first.effective_samples, "wear": first.wear, "valid": valid}
+    data |= {"ess": first.effective_samples, "degeneracy": first.degeneracy, "valid": valid}
     out = xr.Dataset(
         {n: ("wavelength", v, {"units": "1", "long_name": _MEANING.get(n, n)}) for n, v in data.items()},
         coords={"wavelength": ("wavelength", sets.wavelength_nm, {"units": "nm"})},
@@ -175,12 +179,12 @@ def spectrum(
     )
     if ledger.tally.binned:
         out = _binned(ledger, sets, out)
-    if worn == "walk" and stack is not None and not valid.all():
+    if degenerate == "walk" and stack is not None and not valid.all():
         out = _walked(ledger, stack, out, np.flatnonzero(~valid))
     return out
 
 
-def _binned(ledger: Ledger, sets: Coefficients, out: xr.Dataset) -> xr.Dataset:
+def _binned(ledger: Recording, sets: Coefficients, out: xr.Dataset) -> xr.Dataset:
     tally = ledger.tally
     for name, edges, unit in (("theta_o", tally.theta, "rad"), ("radius", tally.radius, "mm")):
         middle = [0.5 * (a + b) for a, b in pairwise(edges)]
@@ -197,21 +201,20 @@ def _binned(ledger: Ledger, sets: Coefficients, out: xr.Dataset) -> xr.Dataset:
     return out
 
 
-def _walked(ledger: Ledger, stack: OpticalStack, out: xr.Dataset, bad: np.ndarray[Any, Any]) -> xr.Dataset:
+def _walked(ledger: Recording, stack: OpticalStack, out: xr.Dataset, bad: np.ndarray[Any, Any]) -> xr.Dataset:
     """Answers at some wavelengths from a ledger recorded for them."""
-    from livlab.model.transport.ledger.record_ledger import record
-
     half = float(ledger.about["half_width_mm"])
     errors = out["reflectance_se"].to_numpy()[out["valid"].to_numpy()]
-    again = record(
-        stack.at(bad.tolist()),
-        standard_error=float(max(errors.max(), 1e-6)) if errors.size else 1e-3,
+    request = RecordingRequest(
+        RecordingTarget(standard_error=float(max(errors.max(), 1e-6)) if errors.size else 1e-3),
         seed=int(ledger.about["seed"]) + 1,
         source=ledger.source,
         tally=ledger.tally,
         half_width_mm=None if math.isinf(half) else half,
         variant=ledger.about["variant"],
-    ).spectrum(worn="mark")
+    )
+    made = make_recording(Recording, stack.at(bad.tolist()), request)
+    again = spectrum(made, made.served, None, "mark", LEAST_SAMPLES)
     order = np.argsort(stack.wavelength_nm[bad], kind="stable")
     for name, values in again.data_vars.items():
         out[name].data[bad[order]] = values.data
@@ -221,7 +224,7 @@ def _walked(ledger: Ledger, stack: OpticalStack, out: xr.Dataset, bad: np.ndarra
 
 
 def parameter_gradient(
-    ledger: Ledger,
+    ledger: Recording,
     make: Callable[[Mapping[str, float]], OpticalStack],
     parameters: Mapping[str, float],
     step: float,

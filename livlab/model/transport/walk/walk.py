@@ -21,7 +21,7 @@ from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.device import BATCH_PHOTONS, LANES, Device, Variant, device
 from livlab.model.transport.fresnel import fresnel
-from livlab.model.transport.source import Source
+from livlab.model.transport.source import Source, check_half_width
 from livlab.model.transport.tally import LANE_PHOTONS, LAUNCH_PHOTONS, Moments, Tally
 from livlab.model.transport.walk.columns import Columns, Settings
 from livlab.model.transport.walk.directions import Directions
@@ -303,10 +303,4 @@ def _check(
             raise InputError.of(name, value, "must be >= 1", "Ask for at least one.")
     if batch_photons > LAUNCH_PHOTONS:
         raise InputError.of("batch_photons", batch_photons, f"must be <= {LAUNCH_PHOTONS}", "Walk in smaller batches.")
-    if half_width_mm is not None:
-        if not half_width_mm > 0 or math.isinf(half_width_mm):
-            raise InputError.of("half_width_mm", half_width_mm, "must be finite and > 0", "Use None for no sides.")
-        if source.reach_mm > half_width_mm:
-            raise InputError.of(
-                "source", source.reach_mm, f"beam reaches beyond half_width_mm = {half_width_mm}", "Narrow the beam."
-            )
+    check_half_width(half_width_mm, source)

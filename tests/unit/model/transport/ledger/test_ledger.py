@@ -94,7 +94,7 @@ def test_bias_is_told_where_only_the_mixture_of_phase_functions_changes(libllvm)
 
 def test_thickness_acts_through_optical_depth(ledger):
     """A layer of twice the thickness is one of twice the coefficients: exactly so in the ledger."""
-    thick = ledger.spectrum(tissue(thickness=0.11), worn="mark")
+    thick = ledger.spectrum(tissue(thickness=0.11), degenerate="mark")
     served = ledger.served
     a, s = served.absorption.copy(), served.scattering.copy()
     a[:, 0] *= 1.1
@@ -130,30 +130,30 @@ def test_gradients_by_parameters_follow_the_chain_rule(ledger):
     assert found.gradient.dims == ("parameter", "wavelength")
     for name, value in at.items():
         h = 2e-3 * value
-        up, down = (ledger.spectrum(make({**at, name: value + d}), worn="mark") for d in (h, -h))
+        up, down = (ledger.spectrum(make({**at, name: value + d}), degenerate="mark") for d in (h, -h))
         numeric = (up.reflectance - down.reflectance).to_numpy() / (2 * h)
         assert np.allclose(found.gradient.sel(parameter=name), numeric, rtol=1e-3), name
 
 
-def test_a_worn_ledger_refuses_and_says_why(ledger):
+def test_a_ledger_whose_weights_degenerate_refuses_and_says_why(ledger):
     served = ledger.served.take([4])
     white = served.absorption * 0.0
     marked = ledger.evaluate(white, served.scattering, wavelength_nm=600.0)
     assert not marked.valid.any()
-    assert marked.wear[0] > 2.0
+    assert marked.degeneracy[0] > 2.0
     with pytest.raises(InputError, match="added log variance"):
-        ledger.evaluate(white, served.scattering, wavelength_nm=600.0, worn="raise")
+        ledger.evaluate(white, served.scattering, wavelength_nm=600.0, degenerate="raise")
     dense = served.scattering * [3.0, 1.0]
     assert not ledger.evaluate(served.absorption, dense, wavelength_nm=600.0).valid.any()
     with pytest.raises(InputError, match="effective samples"):
         ledger.spectrum(least_samples=1e9)
 
 
-def test_walking_again_where_worn(ledger):
+def test_walking_again_where_weights_degenerate(ledger):
     dense = tissue(mus=np.where(W > 620, 3.0, 1.0))
-    marked = ledger.spectrum(dense, worn="mark")
+    marked = ledger.spectrum(dense, degenerate="mark")
     assert 0 < int(marked.valid.sum()) < W.size
-    again = ledger.spectrum(dense, worn="walk")
+    again = ledger.spectrum(dense, degenerate="walk")
     assert again.valid.all()
     assert again.attrs["walked_again_nm"] == W[~marked.valid.to_numpy()].tolist()
     kept = marked.valid.to_numpy()
@@ -170,7 +170,7 @@ def test_other_stacks_are_refused(ledger):
     slab = stack(layer("capsule", 0.1, 1.36, 0.02, 12.0, 0.9), layer("bulk", 3.0, 1.38, 0.5, 10.0, 0.8), below=1.38)
     with pytest.raises(InputError, match="thickness"):
         ledger.spectrum(slab)
-    other = ledger.spectrum(tissue(g=0.5, mus=1.0), worn="mark")
+    other = ledger.spectrum(tissue(g=0.5, mus=1.0), degenerate="mark")
     assert not other.valid.any()
 
 
@@ -225,8 +225,8 @@ def test_evaluate_checks_its_arrays(ledger):
             ledger.evaluate(a, s)
     with pytest.raises(InputError, match="anisotropy"):
         ledger.evaluate(good, good, anisotropy=good)
-    with pytest.raises(InputError, match="worn"):
-        ledger.evaluate(good, good, worn="walk")
+    with pytest.raises(InputError, match="degenerate"):
+        ledger.evaluate(good, good, degenerate="walk")
 
 
 def test_accuracy_asked_is_met(libllvm):

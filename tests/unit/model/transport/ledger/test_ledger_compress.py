@@ -7,7 +7,7 @@ import pytest
 from ledger_tissue import tissue
 
 from livlab.errors import InputError
-from livlab.model.transport.ledger.compress import Domain, compress, widened
+from livlab.model.transport.ledger.compress import AnchorDomain, compress, widened
 from livlab.model.transport.ledger.data import Anchors, Coefficients, Entries, sort_entries
 from livlab.model.transport.ledger.evaluate import Rows, select, sums
 from livlab.model.transport.ledger.record_ledger import Detector, record
@@ -76,7 +76,7 @@ def test_compression_of_one_exponent_is_a_histogram():
     )
     anchors = Anchors(np.array([500.0]), *(np.ones((1, 1)) for _ in range(4)), np.array([n]))
     theta = -np.linspace(0.0, 2.0, 41)[None, :]
-    small = compress(rows, anchors, [Domain(theta, np.ones(41))], 1e-5)
+    small = compress(rows, anchors, [AnchorDomain(theta, np.ones(41))], 1e-5)
     assert len(small) < 400
     truth = np.exp(x.astype(float) @ theta).mean(0)
     lots = [Rows(np.pad(r.features, ((0, 0), (0, 3))), r.log_weight, r.concentration) for r in (rows, small)]

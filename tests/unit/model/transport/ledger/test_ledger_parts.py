@@ -9,7 +9,7 @@ from ledger_tissue import W, layer, stack, tissue
 from livlab.errors import InputError
 from livlab.model.transport.ledger.data import OUTSIDE, Anchors, Coefficients, bins_of
 from livlab.model.transport.ledger.evaluate import Rows, exponents, sums
-from livlab.model.transport.ledger.plan import blend, levels, lobatto, make_plan, reference_stack, snap, wear_of
+from livlab.model.transport.ledger.plan import blend, degeneracy_of, levels, lobatto, make_plan, reference_stack, snap
 from livlab.model.transport.tally import Tally
 
 
@@ -167,13 +167,13 @@ def test_levels_share_a_change_so_that_the_blend_is_consistent():
     assert free < 0.1 * full
 
 
-def test_wear_is_the_log_variance_of_the_likelihood_ratio():
+def test_weight_degeneracy_is_the_log_variance_of_the_likelihood_ratio():
     """χ² of two Poisson processes, against its own definition summed over counts."""
     sets = Coefficients.of(tissue())
     anchors = anchors_like(sets, [4])
     level = levels(anchors, blend(sets.wavelength_nm, anchors.wavelength_nm, 0), np.ones(2))
     path = np.array([2.0, 0.0])
-    found = wear_of(sets, anchors, 0, level[0], True, path)
+    found = degeneracy_of(sets, anchors, 0, level[0], True, path)
     s, s1 = anchors.scattering[0, 0], sets.scattering[2, 0]
     n = np.arange(400)
     log_p = n * math.log(s * path[0]) - s * path[0] - np.array([math.lgamma(k + 1) for k in n])
@@ -182,12 +182,12 @@ def test_wear_is_the_log_variance_of_the_likelihood_ratio():
     assert found[4] == 0.0
 
 
-def test_wear_is_infinite_where_scattering_appears():
+def test_weight_degeneracy_is_infinite_where_scattering_appears():
     sets = Coefficients.of(tissue())
     anchors = anchors_like(sets, [4])
     anchors.scattering[0, 0] = 0.0
     level = levels(anchors, np.ones((len(sets), 1)), np.ones(2))
-    assert np.isinf(wear_of(sets, anchors, 0, level[0], True, np.ones(2))).all()
+    assert np.isinf(degeneracy_of(sets, anchors, 0, level[0], True, np.ones(2))).all()
 
 
 def random_rows(n, f, seed=0):
