@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -39,27 +40,28 @@ HIGHEST_ORDER = 1024
 
 
 @dataclass(frozen=True)
-class _Level:
-    """What one node count gives: totals, absorbed per layer, and the exit flux per solid angle at the nodes."""
+class _Fluxes:
+    """What becomes of light of one incidence: reflected, transmitted, and absorbed per layer."""
 
-    grid: Grid
     reflected: float
     transmitted: float
-    reflected_diffuse: float
-    transmitted_diffuse: float
     absorbed: FloatArray
-    absorbed_diffuse: FloatArray
+
+
+@dataclass(frozen=True)
+class _Level:
+    """What one node count gives: fluxes of the beam and of diffuse light, the beam's exit flux per solid angle."""
+
+    grid: Grid
+    beam: _Fluxes
+    diffuse: _Fluxes
     angular_up: FloatArray
     angular_down: FloatArray
 
     def distance(self, other: _Level) -> float:
         """Largest difference of the totals."""
-        return max(
-            abs(self.reflected - other.reflected),
-            abs(self.transmitted - other.transmitted),
-            abs(self.reflected_diffuse - other.reflected_diffuse),
-            abs(self.transmitted_diffuse - other.transmitted_diffuse),
-        )
+        pairs = ((self.beam, other.beam), (self.diffuse, other.diffuse))
+        return max(max(abs(a.reflected - b.reflected), abs(a.transmitted - b.transmitted)) for a, b in pairs)
 
 
 def adding_doubling(
@@ -80,7 +82,7 @@ def adding_doubling(
     stack
         The layers. An element's `absorb_below_mm` depends on a path's length, which transfer theory does
         not know: its albedo is multiplied by the chance e^(−µ_t D) that a free path in the layer is
-        longer, as if each meeting were independent (said in `attrs["notes"]`).
+        longer, as if each collision were independent (said in `attrs["notes"]`).
     mu0
         Cosine of incidence in the medium above, in [1e-6, 1]; 1 is a true collimated normal beam.
     nodes
@@ -201,16 +203,18 @@ def _totals(grid: Grid, n_above: float, n_below: float, whole: Below) -> _Level:
     diffuse = flux[upper] / flux[upper].sum()
     up, down = flux[upper] > 0, flux[lower] > 0
     # A node's flux over its solid angle 2π s ds / (n² µ).
+    up_cosines, down_cosines = grid.cosines(n_above)[up], grid.cosines(n_below)[down]
+    reflected, transmitted = whole.reflectance, whole.transmittance
     return _Level(
         grid,
-        float(whole.reflectance[:, 0].sum()),
-        float(whole.transmittance[:, 0].sum()),
-        float(whole.reflectance.sum(axis=0) @ diffuse),
-        float(whole.transmittance.sum(axis=0) @ diffuse),
-        whole.absorbed[:, 0],
-        whole.absorbed @ diffuse,
-        whole.reflectance[up, 0] * grid.cosines(n_above)[up] * n_above**2 / (2 * math.pi * flux[upper][up]),
-        whole.transmittance[down, 0] * grid.cosines(n_below)[down] * n_below**2 / (2 * math.pi * flux[lower][down]),
+        beam=_Fluxes(float(reflected[:, 0].sum()), float(transmitted[:, 0].sum()), whole.absorbed[:, 0]),
+        diffuse=_Fluxes(
+            float(reflected.sum(axis=0) @ diffuse),
+            float(transmitted.sum(axis=0) @ diffuse),
+            whole.absorbed @ diffuse,
+        ),
+        angular_up=reflected[up, 0] * up_cosines * n_above**2 / (2 * math.pi * flux[upper][up]),
+        angular_down=transmitted[down, 0] * down_cosines * n_below**2 / (2 * math.pi * flux[lower][down]),
     )
 
 
@@ -229,10 +233,63 @@ def _notes(stack: OpticalStack, moments: Moments) -> list[str]:
 
 
 def _dataset(stack: OpticalStack, mu0: float, tolerance: float, solved: list[_Solved], notes: list[str]) -> xr.Dataset:
+    angular, directions, breaks = _angular(stack, solved)
+
+    def column(values: list[float]) -> tuple[str, FloatArray, dict[str, str]]:
+        return ("wavelength", np.array(values), {"units": "1"})
+
+    def by_layer(values: list[FloatArray]) -> tuple[tuple[str, str], FloatArray, dict[str, str]]:
+        return (("wavelength", "layer"), np.array(values), {"units": "1"})
+
+    beam, diffuse = [s.level.beam for s in solved], [s.level.diffuse for s in solved]
+    reflectance = [x.reflected - s.specular for x, s in zip(beam, solved, strict=True)]
+    balance = [
+        1.0 - s.specular - r - x.transmitted - float(x.absorbed.sum())
+        for x, s, r in zip(beam, solved, reflectance, strict=True)
+    ]
+    return xr.Dataset(
+        {
+            "reflectance": column(reflectance),
+            "specular": column([s.specular for s in solved]),
+            "unscattered_reflectance": column([s.unscattered_up for s in solved]),
+            "transmittance": column([x.transmitted for x in beam]),
+            "unscattered_transmittance": column([s.unscattered_down for s in solved]),
+            "absorbed": by_layer([x.absorbed for x in beam]),
+            "residual": column(balance),
+            "reflectance_diffuse_incidence": column([x.reflected for x in diffuse]),
+            "transmittance_diffuse_incidence": column([x.transmitted for x in diffuse]),
+            "absorbed_diffuse_incidence": by_layer([x.absorbed for x in diffuse]),
+            **angular,
+            "error_estimate": column([s.error for s in solved]),
+            "nodes": ("wavelength", np.array([s.nodes for s in solved])),
+            "converged": ("wavelength", np.array([s.error <= tolerance for s in solved])),
+        },
+        coords={
+            "wavelength": ("wavelength", stack.wavelength_nm, {"units": "nm"}),
+            "layer": [x.name for x in stack.layers],
+            **directions,
+        },
+        attrs={
+            "solver": "adding-doubling",
+            "mu0": mu0,
+            "tolerance": tolerance,
+            "angular_breaks": np.array(breaks),
+            "notes": "; ".join(notes),
+        },
+    )
+
+
+def _angular(stack: OpticalStack, solved: list[_Solved]) -> tuple[dict[str, Any], dict[str, Any], tuple[float, ...]]:
+    """Scattered flux per solid angle, the exit directions that all wavelengths share, and their breaks above."""
     n_under = stack.layers[-1].n if math.isinf(stack.layers[-1].thickness_mm) else stack.n_below
     above, under = angular_grid(stack, stack.n_above), angular_grid(stack, n_under)
-    angular, coords, weights = {}, {}, {}
-    for name, grid, dim in (("reflectance", above, "mu_o"), ("transmittance", under, "mu_t")):
+    angular: dict[str, Any] = {}
+    cosines: dict[str, Any] = {}
+    weights: dict[str, Any] = {}
+    for name, grid, dim, solid_angle in (
+        ("reflectance", above, "mu_o", "solid_angle"),
+        ("transmittance", under, "mu_t", "solid_angle_below"),
+    ):
         top = grid.breaks[-1]
         mu = grid.cosines(top)[1:]
         share = np.sqrt((1 - mu) * (1 + mu))
@@ -242,52 +299,6 @@ def _dataset(stack: OpticalStack, mu0: float, tolerance: float, solved: list[_So
             values = s.level.angular_up if name == "reflectance" else s.level.angular_down
             rows.append(flux_at(s.level.grid, values, s.level.grid.snap(n) * share))
         angular[f"{name}_angular"] = (("wavelength", dim), np.array(rows), {"units": "1/sr"})
-        coords[dim] = (dim, mu, {"units": "1"})
-        weights[dim] = (dim, 2 * math.pi * grid.flux()[1:] / (top * top * mu), {"units": "sr"})
-
-    def column(values: list[float]) -> tuple[str, FloatArray, dict[str, str]]:
-        return ("wavelength", np.array(values), {"units": "1"})
-
-    reflectance = [s.level.reflected - s.specular for s in solved]
-    absorbed = np.array([s.level.absorbed for s in solved])
-    balance = [
-        1.0 - s.specular - r - s.level.transmitted - float(s.level.absorbed.sum())
-        for s, r in zip(solved, reflectance, strict=True)
-    ]
-    layer_dims = ("wavelength", "layer")
-    return xr.Dataset(
-        {
-            "reflectance": column(reflectance),
-            "specular": column([s.specular for s in solved]),
-            "unscattered_reflectance": column([s.unscattered_up for s in solved]),
-            "transmittance": column([s.level.transmitted for s in solved]),
-            "unscattered_transmittance": column([s.unscattered_down for s in solved]),
-            "absorbed": (layer_dims, absorbed, {"units": "1"}),
-            "residual": column(balance),
-            "reflectance_diffuse_incidence": column([s.level.reflected_diffuse for s in solved]),
-            "transmittance_diffuse_incidence": column([s.level.transmitted_diffuse for s in solved]),
-            "absorbed_diffuse_incidence": (
-                layer_dims,
-                np.array([s.level.absorbed_diffuse for s in solved]),
-                {"units": "1"},
-            ),
-            **angular,
-            "error_estimate": column([s.error for s in solved]),
-            "nodes": ("wavelength", np.array([s.nodes for s in solved])),
-            "converged": ("wavelength", np.array([s.error <= tolerance for s in solved])),
-        },
-        coords={
-            "wavelength": ("wavelength", stack.wavelength_nm, {"units": "nm"}),
-            "layer": [x.name for x in stack.layers],
-            **coords,
-            "solid_angle": weights["mu_o"],
-            "solid_angle_below": weights["mu_t"],
-        },
-        attrs={
-            "solver": "adding-doubling",
-            "mu0": mu0,
-            "tolerance": tolerance,
-            "angular_breaks": np.array(above.breaks),
-            "notes": "; ".join(notes),
-        },
-    )
+        cosines[dim] = (dim, mu, {"units": "1"})
+        weights[solid_angle] = (dim, 2 * math.pi * grid.flux()[1:] / (top * top * mu), {"units": "sr"})
+    return angular, {**cosines, **weights}, above.breaks

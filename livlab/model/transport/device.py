@@ -76,18 +76,8 @@ def device(variant: Variant) -> Device:
         if not dr.has_backend(dr.JitBackend.CUDA):
             raise EnvironmentProblem("variant 'cuda' finds no GPU or no driver.", remedy="Use variant 'llvm'.")
     limit_threads(dr)
-    return Device(
-        variant,
-        dr,
-        backend.Float,
-        backend.Float64,
-        backend.UInt32,
-        backend.UInt64,
-        backend.Int32,
-        backend.Int64,
-        backend.Bool,
-        backend.PCG32,
-    )
+    names = ("Float", "Float64", "UInt32", "UInt64", "Int32", "Int64", "Bool", "PCG32")
+    return Device(variant=variant, dr=dr, **{name: getattr(backend, name) for name in names})
 
 
 def limit_threads(dr: Any) -> None:

@@ -69,6 +69,14 @@ class Tally:
         """Edges in use."""
         return self.radius_edges or (0.0, math.inf)
 
+    @property
+    def minus_cosines(self) -> FloatArray:
+        """−cos θ at the edges of `theta`, rising as θ does; the outermost take in what rounding puts beyond them."""
+        edges = -np.cos(self.theta)
+        edges[0] = -2.0 if self.theta[0] == 0.0 else edges[0]
+        edges[-1] = 0.0 if self.theta[-1] >= math.pi / 2 else edges[-1]
+        return np.asarray(edges)
+
 
 def _edges(field: str, values: Sequence[float], top: float) -> tuple[float, ...]:
     edges = tuple(float(x) for x in values)

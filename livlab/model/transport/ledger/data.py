@@ -256,9 +256,7 @@ def bins_of(tally: Tally, cosine: NDArray[np.float32], radius: NDArray[np.float3
     """Bin of each exit, θ first; the walk's own rule (rounding beyond an outermost edge is taken in)."""
     if not tally.binned:
         return np.zeros(len(cosine), dtype=np.int32)
-    edges = -np.cos(np.asarray(tally.theta))
-    edges[0] = -2.0 if tally.theta[0] == 0.0 else edges[0]
-    edges[-1] = 0.0 if tally.theta[-1] >= math.pi / 2 else edges[-1]
+    edges = tally.minus_cosines
     t = np.searchsorted(edges, -cosine, side="right") - 1
     good = (t >= 0) & (t < len(edges) - 1)
     count = len(tally.radius) - 1

@@ -82,7 +82,7 @@ def record(
     progress
         Called with the fraction done; it may raise to stop.
     max_steps
-        Meetings and interfaces after which a photon is given up (`residual`).
+        Collisions and interfaces after which a photon is given up (`residual`).
     check_bias
         Whether to solve half-way between anchors by `adding_doubling`, so that the bias of interpolation can be told
         (NaN if not).

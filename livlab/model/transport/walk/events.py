@@ -1,4 +1,4 @@
-"""What happens to a photon at a meeting and at an interface, on Dr.Jit arrays.
+"""What happens to a photon at a collision and at an interface, on Dr.Jit arrays.
 
 Scattering angles are carried as w = 1 − cos θ, which a single-precision float resolves in a forward peak
 where cos θ itself cannot.

@@ -9,7 +9,6 @@ The code depends on `Shape` and on which records are asked for; every number is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
@@ -20,58 +19,18 @@ from livlab.model.transport.fresnel import fresnel, refracted_cosine
 from livlab.model.transport.walk import events
 from livlab.model.transport.walk.columns import Columns, Settings
 from livlab.model.transport.walk.observers import End, Observer, Step
+from livlab.model.transport.walk.states import CollisionResult, CollisionTarget, FlightStep, InterfaceResult, Photon
 from livlab.model.transport.walk.tables import ISOTROPIC
 
 NEGLIGIBLE = 1e-9
 """A weight that redirect factors brought below this is given up and counted as residual."""
 
 LUMP = 2.0**-12
-"""Where less than this share is lost at a meeting, this share is lost, more rarely: a single-precision weight
+"""Where less than this share is lost at a collision, this share is lost, more rarely: a single-precision weight
 takes a loss of 1e-9 for none."""
 
 _TINY = 1e-20
 _FAR = 1e30  # a clear endless layer is crossed, not lost in NaN
-
-
-@dataclass
-class Way:
-    """What was met: chances of survival and absorption, shortest free path, phase function and redirect factor."""
-
-    survive: Any
-    loss: Any
-    below: Any
-    kind: Any
-    g: Any
-    offset: Any
-    focus: Any
-    redirect: Any
-
-
-@dataclass
-class Photon:
-    """State of the photon that a lane walks; () stands for what is not followed.
-
-    Attributes
-    ----------
-    layer, z
-        Layer, and depth in mm below its own top: a thin layer keeps its digits on a thick one.
-    mu, across
-        Cosine of the direction with the normal (down is positive), and the other two components.
-    place
-        (x, y) in mm.
-    weight
-        Part of the photon that is left, negative after a factor cos θ < 0.
-    steps
-        Taken so far.
-    """
-
-    layer: Any
-    z: Any
-    mu: Any
-    across: Any
-    place: Any
-    weight: Any
-    steps: Any
 
 
 class _Walk:
@@ -126,19 +85,43 @@ class _Walk:
         return Photon(layer, dr.zeros(d.Float, self.c.lanes), mu, across, place, weight, steps)
 
     def body(self, stream: Any, left: Any, p: Photon, entered: Any, states: Any) -> Any:
-        """One step of every lane: to the next meeting or the next interface, whichever is nearer."""
-        d, dr, c = self.d, self.dr, self.c
+        """One step of every lane: to the next collision or the next interface, whichever is nearer."""
+        d, dr = self.d, self.dr
         inside = self._layers(p.layer)
-        depth = self._pick(inside, c.thickness)
+        flight = self._flight(stream, p, inside)
+        polar_bits, azimuth_bits = stream.next_uint32(), stream.next_uint32()
+        u = random.uniform(d, polar_bits)
+        hit = self._collided(stream, p, inside, flight, u, azimuth_bits)
+        face = self._interface(p, inside, flight, u)
+        step, end = self._told(p, inside, flight, hit, face, entered)
+        states = tuple(o.end(d, o.step(d, s, step), end) for o, s in zip(self.observers, states, strict=True))
+        moved = self._moved(p, inside, flight, hit, face, end)
+
+        fresh = self.enter(stream)
+        choose = partial(dr.select, end.done)
+        photon = Photon(
+            choose(0, moved.layer),
+            choose(0.0, moved.z),
+            choose(fresh.mu, moved.mu),
+            tuple(choose(a, b) for a, b in zip(fresh.across, moved.across, strict=True)),
+            tuple(choose(a, b) for a, b in zip(fresh.place, moved.place, strict=True)),
+            choose(fresh.weight, moved.weight),
+            choose(0, moved.steps),
+        )
+        if self.random_entry:
+            entered = choose(fresh.weight, entered)
+        return stream, left - dr.select(end.done, d.UInt32(1), d.UInt32(0)), photon, entered, states
+
+    def _flight(self, stream: Any, p: Photon, inside: Sequence[Any]) -> FlightStep:
+        """How far the photon goes, and what ends it."""
+        dr = self.dr
+        depth = self._pick(inside, self.c.thickness)
         free, winner = self._free_path(stream, inside)
         up = p.mu < 0.0
         rest = dr.maximum(dr.select(up, p.z, depth - p.z), 0.0)
         reach = rest * dr.rcp(dr.maximum(dr.abs(p.mu), _TINY))
         met = free < reach
         path = dr.minimum(dr.minimum(free, reach), _FAR)
-        polar_bits, azimuth_bits = stream.next_uint32(), stream.next_uint32()
-        u = random.uniform(d, polar_bits)
-
         place, side = p.place, None
         if place != ():
             place = (dr.fma(p.across[0], path, place[0]), dr.fma(p.across[1], path, place[1]))
@@ -147,72 +130,80 @@ class _Walk:
             side = dr.maximum(dr.abs(place[0]), dr.abs(place[1])) > self.half_width
             met &= ~side
             path = dr.select(side, dr.minimum(path, self._to_side(p)), path)
+        return FlightStep(up, depth, free, winner, met, path, place, side)
 
-        way = self._way(stream, inside, winner, free)
-        mu_turned, across_turned, azimuth, sign = self._turned(p, way, u, azimuth_bits)
-        weight, absorbed, loss = self._survival(stream, p.weight, way, free, azimuth, sign)
+    def _collided(
+        self, stream: Any, p: Photon, inside: Sequence[Any], flight: FlightStep, u: Any, azimuth_bits: Any
+    ) -> CollisionResult:
+        """What a collision at the flight's end makes of the photon."""
+        target = self._target(stream, inside, flight.winner, flight.free)
+        mu, across, azimuth, sign = self._turned(p, target, u, azimuth_bits)
+        weight, absorbed, loss = self._survival(stream, p.weight, target, flight.free, azimuth, sign)
+        return CollisionResult(mu, across, weight, absorbed, loss)
 
-        cross, mu_behind, cosine, eta = self._interface(p, inside, up, u)
-        at_edge = ~met if side is None else ~met & ~side
-        cross = cross & at_edge
-        out_up = cross & up & inside[0]
-        out_down = cross & ~up & inside[-1]
-
-        weight = dr.select(met, weight, p.weight)
+    def _told(
+        self,
+        p: Photon,
+        inside: tuple[Any, ...],
+        flight: FlightStep,
+        hit: CollisionResult,
+        face: InterfaceResult,
+        entered: Any,
+    ) -> tuple[Step, End]:
+        """What the observers hear of the step, and of the photons that end with it."""
+        d, dr = self.d, self.dr
+        met, side, place = flight.met, flight.side, flight.place
+        out_up = face.cross & flight.up & inside[0]
+        out_down = face.cross & ~flight.up & inside[-1]
+        weight = dr.select(met, hit.weight, p.weight)
         dead = met & (weight == 0.0)
         ended = out_up | out_down | dead if side is None else out_up | out_down | dead | side
         unfinished = (p.steps >= self.max_steps) & ~ended
         stopped = unfinished
         if self.redirects:
             stopped = stopped | (met & ~ended & (dr.abs(weight) < NEGLIGIBLE))
-        done = ended | stopped
-
-        step = Step(
-            inside, path, met, dr.select(met, absorbed, 0.0), dr.select(met, loss, 0.0) if self.redirects else None
-        )
-        none = d.Bool(False)
-        radius = dr.sqrt(place[0] * place[0] + place[1] * place[1]) if place != () else None
-        entered_now = entered if self.random_entry else None
-        bend = 1.0 if eta is None else dr.select(cross, eta, 1.0)
-        across = tuple(old * bend for old in p.across)
+        taken = dr.select(met, hit.loss, 0.0) if self.redirects else None
+        step = Step(inside, flight.path, met, dr.select(met, hit.absorbed, 0.0), taken)
+        bend = 1.0 if face.eta is None else dr.select(face.cross, face.eta, 1.0)
         end = End(
-            done,
-            out_up,
-            out_down,
-            none if side is None else side,
-            stopped,
-            unfinished,
-            weight,
-            entered_now,
-            cosine,
-            radius,
-            c.wavelength,
-            across,
+            done=ended | stopped,
+            up=out_up,
+            down=out_down,
+            side=d.Bool(False) if side is None else side,
+            stopped=stopped,
+            unfinished=unfinished,
+            weight=weight,
+            entered=entered if self.random_entry else None,
+            cosine=face.cosine,
+            radius=dr.sqrt(place[0] * place[0] + place[1] * place[1]) if place != () else None,
+            wavelength=self.c.wavelength,
+            across=tuple(old * bend for old in p.across),
         )
-        states = tuple(o.end(d, o.step(d, s, step), end) for o, s in zip(self.observers, states, strict=True))
+        return step, end
 
-        # Where the photon stands now; an interface leaves it at the top or the bottom of a layer.
-        below_top = dr.select(cross, dr.select(up, self._pick(inside, c.above), 0.0), dr.select(up, 0.0, depth))
-        z = dr.select(met, dr.fma(p.mu, free, p.z), below_top)
-        layer = dr.select(cross, dr.select(up, p.layer - 1, p.layer + 1), p.layer)
-        mu = dr.select(met, mu_turned, dr.select(cross, mu_behind, -p.mu))
-        if across != ():
-            across = tuple(dr.select(met, new, old) for new, old in zip(across_turned, across, strict=True))
-
-        fresh = self.enter(stream)
-        choose = partial(dr.select, done)
-        photon = Photon(
-            choose(0, layer),
-            choose(0.0, z),
-            choose(fresh.mu, mu),
-            tuple(choose(a, b) for a, b in zip(fresh.across, across, strict=True)),
-            tuple(choose(a, b) for a, b in zip(fresh.place, place, strict=True)),
-            choose(fresh.weight, weight),
-            choose(0, p.steps + 1),
+    def _moved(
+        self,
+        p: Photon,
+        inside: Sequence[Any],
+        flight: FlightStep,
+        hit: CollisionResult,
+        face: InterfaceResult,
+        end: End,
+    ) -> Photon:
+        """Where the photon stands now; an interface leaves it at the top or the bottom of a layer."""
+        dr = self.dr
+        met, up, cross = flight.met, flight.up, face.cross
+        above = dr.select(up, self._pick(inside, self.c.above), 0.0)
+        at_edge = dr.select(cross, above, dr.select(up, 0.0, flight.depth))
+        return Photon(
+            layer=dr.select(cross, dr.select(up, p.layer - 1, p.layer + 1), p.layer),
+            z=dr.select(met, dr.fma(p.mu, flight.free, p.z), at_edge),
+            mu=dr.select(met, hit.mu, dr.select(cross, face.mu, -p.mu)),
+            across=tuple(dr.select(met, new, old) for new, old in zip(hit.across, end.across, strict=True)),
+            place=flight.place,
+            weight=end.weight,
+            steps=p.steps + 1,
         )
-        if self.random_entry:
-            entered = choose(fresh.weight, entered)
-        return stream, left - dr.select(done, d.UInt32(1), d.UInt32(0)), photon, entered, states
 
     def _to_side(self, p: Photon) -> Any:
         """Distance to the nearer side along the photon's direction."""
@@ -232,7 +223,7 @@ class _Walk:
         return reduce(lambda found, k: self.dr.select(inside[k], values[k], found), range(1, len(values)), values[0])
 
     def _free_path(self, stream: Any, inside: Sequence[Any]) -> tuple[Any, Any]:
-        """Distance to the next meeting in mm, and in the analog walk whose draw won."""
+        """Distance to the next collision in mm, and in the analog walk whose draw won."""
         d, dr = self.d, self.dr
         best = random.exponential(d, stream.next_uint32()) * self._pick(inside, [x[0] for x in self.c.mfp])
         winner = d.UInt32(0)
@@ -244,7 +235,7 @@ class _Walk:
                 best, winner = dr.select(nearer, drawn, best), dr.select(nearer, d.UInt32(e), winner)
         return best, winner
 
-    def _way(self, stream: Any, inside: Sequence[Any], winner: Any, free: Any) -> Way:
+    def _target(self, stream: Any, inside: Sequence[Any], winner: Any, free: Any) -> CollisionTarget:
         """The element met, or the way of scattering chosen by its share of what survives."""
         d, dr, c, count = self.d, self.dr, self.c, self.shape.ways
 
@@ -271,13 +262,13 @@ class _Walk:
         survive = chosen(c.survive) if survive is None else survive
         loss = chosen(c.loss) if loss is None else loss
         columns = (c.below, c.kind, c.g, c.offset, c.focus, c.redirect)
-        return Way(survive, loss, *(chosen(x) for x in columns))
+        return CollisionTarget(survive, loss, *(chosen(x) for x in columns))
 
-    def _turned(self, p: Photon, way: Way, u: Any, bits: Any) -> tuple[Any, Any, Any, Any]:
+    def _turned(self, p: Photon, target: CollisionTarget, u: Any, bits: Any) -> tuple[Any, Any, Any, Any]:
         """New direction, the cosine of its azimuth in the sample's frame, and the sign a drawn factor carries."""
         d, dr, t = self.d, self.dr, self.c.t
         isotropic = self.shape.kinds == (ISOTROPIC,)
-        w = events.polar(d, t, self.c.table, way.kind, way.g, way.offset, u)
+        w = events.polar(d, t, self.c.table, target.kind, target.g, target.offset, u)
         phi = random.uniform(d, bits)
         focused = self.redirects and not self.analog and not self.shape.steered
         if not self.s.space:
@@ -293,12 +284,12 @@ class _Walk:
             along = dr.sqrt(dr.maximum((1.0 - across) * (1.0 + across), 0.0))
             back = (bits & 1) == 0
             if 3 in self.shape.redirects:
-                back &= way.redirect != 3
+                back &= target.redirect != 3
             drawn = dr.select(back, -along, along)
-            plain = way.redirect == 0
+            plain = target.redirect == 0
             cosine, sine = dr.select(plain, cosine, drawn), dr.select(plain, sine, across)
             if 2 in self.shape.redirects:
-                sign = dr.select((way.redirect == 2) & back, d.Float(-1.0), d.Float(1.0))
+                sign = dr.select((target.redirect == 2) & back, d.Float(-1.0), d.Float(1.0))
         if isotropic:
             flat = dr.sqrt(dr.maximum(w * (2.0 - w), 0.0))
             return 1.0 - w, (flat * cosine, flat * sine), cosine, sign
@@ -306,15 +297,17 @@ class _Walk:
         azimuth = x * dr.rsqrt(dr.maximum(x * x + y * y, _TINY)) if self.redirects else None
         return dr.clip(z, -1.0, 1.0), (x, y), azimuth, sign
 
-    def _survival(self, stream: Any, before: Any, way: Way, free: Any, azimuth: Any, sign: Any) -> tuple[Any, Any, Any]:
-        """Weight after a meeting, what was absorbed, and what the redirect factor took."""
+    def _survival(
+        self, stream: Any, before: Any, target: CollisionTarget, free: Any, azimuth: Any, sign: Any
+    ) -> tuple[Any, Any, Any]:
+        """Weight after a collision, what was absorbed, and what the redirect factor took."""
         d, dr = self.d, self.dr
-        chance, loss = way.survive, way.loss
+        chance, loss = target.survive, target.loss
         if self.shape.short and (self.analog or self.shape.ways == 1):
-            long = free >= way.below
+            long = free >= target.below
             chance, loss = dr.select(long, chance, 0.0), dr.select(long, loss, 1.0)
         drawn = random.fine_uniform(d, stream.next_uint32())
-        focus = way.focus if self.redirects and not self.analog and not self.shape.steered else None
+        focus = target.focus if self.redirects and not self.analog and not self.shape.steered else None
         if self.analog:
             kept = dr.select(drawn < loss, 0.0, before)
             absorbed = before - kept
@@ -335,7 +328,7 @@ class _Walk:
             if sign is not None:
                 kept = kept * sign
         if self.redirects and (self.analog or self.shape.steered):
-            kept = kept * self._factor(way.redirect, azimuth)
+            kept = kept * self._factor(target.redirect, azimuth)
         return kept, absorbed, before - absorbed - kept if self.redirects else None
 
     def _factor(self, code: Any, azimuth: Any) -> Any:
@@ -347,16 +340,17 @@ class _Walk:
             found = values[k] if found is None else dr.select(code == k, values[k], found)
         return found
 
-    def _interface(self, p: Photon, inside: Sequence[Any], up: Any, u: Any) -> tuple[Any, Any, Any, Any]:
-        """Whether light would pass, its cosine behind (signed and not), and the ratio of indices."""
-        d, dr, c = self.d, self.dr, self.c
+    def _interface(self, p: Photon, inside: Sequence[Any], flight: FlightStep, u: Any) -> InterfaceResult:
+        """What happens where the flight ends at an interface."""
+        d, dr, c, up = self.d, self.dr, self.c, flight.up
+        at_edge = ~flight.met if flight.side is None else ~flight.met & ~flight.side
         if not self.shape.fresnel:
-            return d.Bool(True), p.mu, dr.abs(p.mu), None
+            return InterfaceResult(d.Bool(True) & at_edge, p.mu, dr.abs(p.mu), None)
         eta, contrast = (
             dr.select(up, self._pick(inside, x["up"]), self._pick(inside, x["down"])) for x in (c.eta, c.contrast)
         )
         r, behind = events.fresnel(d, eta, contrast, dr.abs(p.mu))
-        return u >= r, dr.select(up, -behind, behind), behind, eta
+        return InterfaceResult((u >= r) & at_edge, dr.select(up, -behind, behind), behind, eta)
 
 
 def trace(

@@ -7,14 +7,13 @@ say) is one more class here.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from livlab.model.transport.device import Device
-from livlab.model.transport.tally import FIXED_POINT, LANE_FIXED_POINT, Moments, Tally
+from livlab.model.transport.tally import LANE_FIXED_POINT, Moments
 from livlab.units import FloatArray
 
 
@@ -29,9 +28,9 @@ class Step:
     path
         Length in mm.
     met
-        Whether it ended in a meeting with an element (else at an interface or a side).
+        Whether it ended in a collision with an element (else at an interface or a side).
     absorbed, redirect_loss
-        Weight that the meeting took, by absorption and by the factor of Algorithm 2; 0 without meeting.
+        Weight that the collision took, by absorption and by the factor of Algorithm 2; 0 without collision.
     """
 
     inside: tuple[Any, ...]
@@ -214,61 +213,3 @@ class Absorbed:
         parts = [Register.moments(sums, wavelengths, samples) for _, sums in state]
         total, squares = np.stack([m.total for m in parts], 1), np.stack([m.squares for m in parts], 1)
         return {"absorbed": Moments(samples, total, squares)}
-
-
-class Bins:
-    """Reflected and transmitted light by exit angle and radius, summed as integers in memory that all lanes share."""
-
-    def __init__(self, d: Device, tally: Tally, wavelengths: int) -> None:
-        self._theta, self._radius = len(tally.theta) - 1, len(tally.radius) - 1
-        # Increasing in −cos θ, as θ is; the outermost edges take in what rounding puts beyond them.
-        edges = -np.cos(tally.theta)
-        edges[0] = -2.0 if tally.theta[0] == 0.0 else edges[0]
-        edges[-1] = 0.0 if tally.theta[-1] >= math.pi / 2 else edges[-1]
-        self._cosines = d.load(d.Float, edges)
-        self._radii = d.load(d.Float, tally.radius)
-        size = 2 * self._theta * self._radius * wavelengths
-        self._sums = d.dr.zeros(d.Int64, size), d.dr.zeros(d.Int64, size)
-        d.dr.make_opaque(self._cosines, self._radii, self._sums)
-
-    def start(self, d: Device, lanes: int) -> Any:
-        """Nothing in registers."""
-        return ()
-
-    def step(self, d: Device, state: Any, step: Step) -> Any:
-        """Nothing before the exit."""
-        return state
-
-    def end(self, d: Device, state: Any, end: End) -> Any:
-        """Find the bin and add, in the lanes that leave."""
-        dr = d.dr
-
-        def place(edges: Any, count: int, value: Any) -> tuple[Any, Any]:
-            found = dr.binary_search(0, count + 1, lambda k: dr.gather(d.Float, edges, k) <= value)
-            return found - 1, (found >= 1) & (found <= count)
-
-        def add(leaves: Any, up: Any, weight: Any, cosine: Any, radius: Any, wavelength: Any) -> Any:
-            t, inside = place(self._cosines, self._theta, -cosine)
-            r, within = (
-                place(self._radii, self._radius, radius) if self._radius > 1 or radius is not None else (0, True)
-            )
-            index = ((wavelength * 2 + dr.select(up, d.UInt32(0), d.UInt32(1))) * self._theta + t) * self._radius + r
-            where = leaves & inside & within
-            w = d.Float64(weight)
-            dr.scatter_add(self._sums[0], d.Int64(w * FIXED_POINT), index, where)
-            dr.scatter_add(self._sums[1], d.Int64(w * w * FIXED_POINT), index, where)
-            return leaves
-
-        leaves = end.up | end.down
-        args = (leaves, end.up, end.weight, end.cosine, end.radius, end.wavelength)
-        dr.if_stmt(args, leaves, add, lambda leaves, *_: leaves)
-        return state
-
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
-        """(W, θ, r) for the light that leaves upwards and downwards."""
-        shape = (wavelengths, 2, self._theta, self._radius)
-        total, squares = (np.array(x, dtype=np.float64).reshape(shape) / FIXED_POINT for x in self._sums)
-        return {
-            "reflectance_binned": Moments(samples, total[:, 0], squares[:, 0]),
-            "transmittance_binned": Moments(samples, total[:, 1], squares[:, 1]),
-        }

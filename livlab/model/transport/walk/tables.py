@@ -98,7 +98,7 @@ class Tables:
         (L, ways, W) phase code, anisotropy for the closed form, and start of its table.
     table
         Inverse distributions one after the other (`livlab.model.tissue.phase.functions.KernelTable`).
-    octaves, per_octave
+    table_shift, table_base, table_row, table_octaves
         Their layout.
     """
 
@@ -173,12 +173,24 @@ def tables(stack: OpticalStack, estimator: Estimator) -> Tables:
     )
     thickness = np.array([x.thickness_mm for x in stack.layers])
     return Tables(
-        shape, thickness, index, mfp, survive, loss, below, redirect, kind, g, offset, store.table(), *store.layout
+        shape=shape,
+        thickness=thickness,
+        index=index,
+        mfp=mfp,
+        survive=survive,
+        loss=loss,
+        below=below,
+        redirect=redirect,
+        kind=kind,
+        g=g,
+        offset=offset,
+        table=store.table(),
+        **store.layout,
     )
 
 
 def _losses(layer: PlaneLayer, estimator: Estimator) -> list[FloatArray]:
-    """Chance that a meeting absorbs, without the short free paths: by element, or of all together."""
+    """Chance that a collision absorbs, without the short free paths: by element, or of all together."""
     if estimator == "analog":
         return [1.0 - i.albedo for i in layer.interactions if i.rate.any()]
     total = sum((i.rate for i in layer.interactions), np.zeros_like(layer.n))
@@ -226,7 +238,12 @@ class _Store:
         self._rows: list[NDArray[np.float32]] = []
         self._size = 0
         first = kernel_table(Isotropic(), per_octave=CELLS_PER_OCTAVE)
-        self.layout = (first.shift, first.base, first.values.shape[1], first.octaves)
+        self.layout = {
+            "table_shift": first.shift,
+            "table_base": first.base,
+            "table_row": first.values.shape[1],
+            "table_octaves": first.octaves,
+        }
 
     def add(self, phase: Phase) -> tuple[int, float, int]:
         """Kind, anisotropy and offset of a phase function."""

@@ -23,16 +23,16 @@ from livlab.model.transport.device import BATCH_PHOTONS, LANES, Device, Variant,
 from livlab.model.transport.fresnel import fresnel
 from livlab.model.transport.source import Source, check_half_width
 from livlab.model.transport.tally import LANE_PHOTONS, LAUNCH_PHOTONS, Moments, Tally
+from livlab.model.transport.walk.bins import Bins, Directions
 from livlab.model.transport.walk.columns import Columns, Settings
-from livlab.model.transport.walk.directions import Directions
 from livlab.model.transport.walk.kernel import trace
-from livlab.model.transport.walk.observers import Absorbed, Bins, Observer, Totals
+from livlab.model.transport.walk.observers import Absorbed, Observer, Totals
 from livlab.model.transport.walk.tables import Estimator, Tables, tables
 
 __all__ = ["Source", "Tally", "merge", "walk"]
 
 CAPTURE_WEIGHT = 0.5
-"""A photon of the expected walk below this weight survives a meeting by chance, whole, or is absorbed whole.
+"""A photon of the expected walk below this weight survives a collision by chance, whole, or is absorbed whole.
 
 That is Russian roulette whose survival probability is the albedo itself: unbiased, and unlike the usual
 kind it moves no energy from photon to photon, so that every photon's account closes."""
@@ -108,7 +108,7 @@ def walk(
     progress
         Called after each batch with the fraction done; it may raise to stop.
     max_steps
-        Meetings and interfaces after which a photon is given up (counted in `unfinished` and `residual`).
+        Collisions and interfaces after which a photon is given up (counted in `unfinished` and `residual`).
     batch_photons
         Photons in one launch over all wavelengths, the grain of progress; default: what suits the variant.
 
