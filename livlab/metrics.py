@@ -191,22 +191,19 @@ def colour_difference(lab_a: ArrayLike, lab_b: ArrayLike) -> FloatArray:
     InputError
         If the last axis is not 3 long, or an entry is NaN or infinite.
     """
-    colours = []
-    for name, lab in (("lab_a", lab_a), ("lab_b", lab_b)):
-        array = np.asarray(lab, dtype=np.float64)
-        if array.ndim == 0 or array.shape[-1] != 3:
-            raise InputError.of(name, array.shape, "must end in an axis of 3: L*, a*, b*", "Give L*a*b* colours.")
-        if not np.isfinite(array).all():
+    given = {"lab_a": np.asarray(lab_a, dtype=np.float64), "lab_b": np.asarray(lab_b, dtype=np.float64)}
+    for name, lab in given.items():
+        if lab.ndim == 0 or lab.shape[-1] != 3:
+            raise InputError.of(name, lab.shape, "must end in an axis of 3: L*, a*, b*", "Give L*a*b* colours.")
+        if not np.isfinite(lab).all():
             raise InputError.of(name, "NaN or infinite", "every entry must be a finite number", "Mend the colours.")
-        colours.append(array)
-    return ciede2000(*colours)
+    return ciede2000(*given.values())
 
 
 def ciede2000(lab_a: FloatArray, lab_b: FloatArray) -> FloatArray:
-    """`colour_difference` of (..., 3) arrays as they are: nothing is checked, and NaN stays NaN."""
-    with np.printoptions():  # which colour-science sets where it is imported
+    """`colour_difference` of (..., 3) arrays as they are: nothing is checked, NaN stays NaN."""
+    with np.printoptions():  # colour-science sets them
         from colour.difference import delta_E_CIE2000
-
     return np.asarray(delta_E_CIE2000(lab_a, lab_b), dtype=np.float64)
 
 
