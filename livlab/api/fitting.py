@@ -16,7 +16,7 @@ from livlab.config.load import check_experiment
 from livlab.core import markup
 from livlab.criteria import format_with_error
 from livlab.errors import InputError
-from livlab.fitting.targets import Loss, Scaling, Target
+from livlab.fitting.targets import CurveTarget, Loss, Scaling
 from livlab.model.tissue.readings import READINGS, Reading
 from livlab.model.tissue.tissue import Tissue
 from livlab.units import FloatArray
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pydantic import BaseModel
 
-    from livlab.fitting.fit import FitOutcome
+    from livlab.fitting.outcome import FitOutcome
     from livlab.kinds.fit.config import FitExperiment
-    from livlab.kinds.fit.setup import Curve
+    from livlab.kinds.fit.setup import FitSetup, MeasuredCurve
 
 Bounds = tuple[float, float] | tuple[float, float, float] | Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Of a parameter: (low, high), (low, high, start), or a table as [[parameter]] in docs/studies.md; a list of tables
@@ -73,7 +73,7 @@ class FitResult:
     level: float
     notes: tuple[str, ...]
     outcome: FitOutcome
-    targets: tuple[Target, ...] = field(default=())
+    targets: tuple[CurveTarget, ...] = field(default=())
     spectra: dict[str, Spectrum] = field(default_factory=dict)
     tissues: dict[str, Tissue] = field(default_factory=dict)
     joint: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -201,8 +201,7 @@ def fit(
     EnvironmentProblem
         There is no usable libLLVM.
     """
-    from livlab.kinds.fit import tables as fit_tables
-    from livlab.kinds.fit.setup import FitSetup, scene_of
+    from livlab.kinds.fit.setup import FitSetup
 
     curves = _curves(measured)
     first = next(iter(curves.values()))
@@ -224,9 +223,17 @@ def fit(
         {label: _asked(measurements, curves, label, scaling, loss) for label in curves},
     )
     setup = FitSetup.of(config, {label: _curve(s, grid) for label, s in curves.items()})
-    found = setup.search()
+    return _result(setup, curves, setup.search())
+
+
+def _result(setup: FitSetup, curves: dict[str, Spectrum], found: FitOutcome) -> FitResult:
+    """A finished fit as the notebook shows it."""
+    from livlab.kinds.fit import tables as fit_tables
+    from livlab.kinds.fit.setup import scene_of
+
+    config, labels, scenes = setup.config, setup.config.labels(), setup.config.scenes()
+    grid = config.wavelengths.grid()
     best, begun = setup.curves(found)
-    labels, scenes = config.labels(), config.scenes()
     tissues = {label: setup.tissue(label, found.best) for label in curves}
     spectra = {}
     for label in curves:
@@ -237,20 +244,20 @@ def fit(
         )
     one = config.measurement[0].label
     return FitResult(
-        _frame(fit_tables.intervals(config, found), "parameter", _INTERVALS),
-        _frame(fit_tables.scores(config, setup.targets, best.value, begun), "measurement", _SCORES),
-        found.covariance.correlation.rename(index=labels, columns=labels),
-        spectra[one],
-        curves,
-        tissues[one],
-        config.reading,
-        level,
-        tuple(setup.said(found)),
-        found,
-        tuple(setup.targets.values()),
-        spectra,
-        tissues,
-        best.value,
+        table=_frame(fit_tables.intervals(config, found), "parameter", _INTERVALS),
+        scores=_frame(fit_tables.scores(config, setup.targets, best.value, begun), "measurement", _SCORES),
+        correlation=found.covariance.correlation.rename(index=labels, columns=labels),
+        spectrum=spectra[one],
+        spectra=spectra,
+        measured=curves,
+        tissue=tissues[one],
+        tissues=tissues,
+        reading=config.reading,
+        level=config.level,
+        notes=tuple(setup.said(found)),
+        outcome=found,
+        targets=tuple(setup.targets.values()),
+        joint=best.value,
     )
 
 
@@ -343,15 +350,15 @@ def _tissue(given: TissueLike, state: str | None, variant: str, changes: Mapping
     return tissue(given, state=state, variant=variant, changes=changes)
 
 
-def _curve(s: Spectrum, grid: FloatArray) -> Curve:
-    from livlab.kinds.fit.setup import Curve
+def _curve(s: Spectrum, grid: FloatArray) -> MeasuredCurve:
+    from livlab.kinds.fit.setup import MeasuredCurve
 
     ends = float(s.wavelength_nm[0]), float(s.wavelength_nm[-1])
     inside = (grid >= ends[0]) & (grid <= ends[1])
     data, sd = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
     data[inside] = s.at(grid[inside])
     sd[inside] = np.interp(grid[inside], s.wavelength_nm, s.standard_error)
-    return Curve(data, sd, np.asarray(s.wavelength_nm, dtype=np.float64))
+    return MeasuredCurve(data, sd, np.asarray(s.wavelength_nm, dtype=np.float64))
 
 
 def _frame(rows: list[dict[str, object]], index: str, columns: tuple[str, ...]) -> pd.DataFrame:

@@ -20,7 +20,9 @@ from livlab.model.tissue.tissue import Tissue, override
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from livlab.acquire.instruments.models import Instrument
     from livlab.kinds.spectral.config import SpectralExperiment
+    from livlab.model.tissue.stack import OpticalStack
 
 TissueLike = Tissue | str | Path | Mapping[str, Any]
 """A tissue, a preset's name, the path of a preset file (TOML), or a tissue written out as a table."""
@@ -151,23 +153,7 @@ def spectrum(
     stack, looks = optical_stack(chosen, own, config.wavelengths.grid()), config.instrument
     said: tuple[str, ...] = ()
     if config.effects is not None:
-        from livlab.effects.plan import plan
-
-        planned = plan(
-            stack,
-            looks,
-            config.effects.tolerance,
-            config.effects.forced,
-            tolerance_of=config.effects.tolerance_of,
-            mode=config.effects.mode,
-            tissue=chosen,
-            reading=own,
-            literal=getattr(config.solver, "estimator", "expected") == "analog",
-        )
-        stack, looks = planned.reduced.stack, planned.instrument
-        if planned.dropped:
-            left_out = ", ".join(planned.dropped)
-            said = (f"Left out {left_out}; the value moves by at most {planned.bound:.2g}.",)
+        stack, looks, said = _simplified(config, chosen, stack)
     used = config.solver
     if not isinstance(used, AddingDoublingSolver):
         used = used.model_copy(update={"seed": reading_seed(config.seed, own.name)})
@@ -183,6 +169,32 @@ def spectrum(
         data,
         config,
     )
+
+
+def _simplified(
+    config: SpectralExperiment, chosen: Tissue, stack: OpticalStack
+) -> tuple[OpticalStack, Instrument, tuple[str, ...]]:
+    """Stack and instrument without what the scene does not call for, and what was left out, in words."""
+    from livlab.effects.plan import plan
+
+    asked = config.effects
+    assert asked is not None
+    planned = plan(
+        stack,
+        config.instrument,
+        asked.tolerance,
+        asked.forced,
+        tolerance_of=asked.tolerance_of,
+        mode=asked.mode,
+        tissue=chosen,
+        reading=config.all_readings[0],
+        literal=getattr(config.solver, "estimator", "expected") == "analog",
+    )
+    said: tuple[str, ...] = ()
+    if planned.dropped:
+        left_out = ", ".join(planned.dropped)
+        said = (f"Left out {left_out}; the value moves by at most {planned.bound:.2g}.",)
+    return planned.reduced.stack, planned.instrument, said
 
 
 def spectral_experiment(

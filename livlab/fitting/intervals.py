@@ -33,7 +33,7 @@ CLOSE = 0.05
 
 
 @dataclass(frozen=True)
-class Interval:
+class ProfileInterval:
     """An interval in the parameter's unit; an open side ends at its bound, a rough one was not reached in time."""
 
     lower: float
@@ -76,7 +76,7 @@ class Profiler:
         r, _ = self._point(self.x)
         self.base = float(r @ r)
 
-    def interval(self, name: str, rise: float) -> Interval:
+    def interval(self, name: str, rise: float) -> ProfileInterval:
         """Where Σ r², minimised over the other parameters, is `rise` above its least.
 
         Parameters
@@ -89,7 +89,7 @@ class Profiler:
         k = self.space.names.index(name)
         (low, below, a), (high, above, b) = (self._end(k, sign, rise) for sign in (-1.0, 1.0))
         p = self.space.by_name[name]
-        return Interval(
+        return ProfileInterval(
             p.low if below else self._value(k, low), p.high if above else self._value(k, high), below, above, a or b
         )
 
@@ -221,4 +221,4 @@ class Profiler:
         return points[t]
 
 
-__all__ = ["Interval", "Profiler"]
+__all__ = ["ProfileInterval", "Profiler"]

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError, LivlabError
-from livlab.fitting.targets import Target
-from livlab.optimise import ParameterSpace
+from livlab.fitting.targets import CurveTarget
+from livlab.optimise import Parameter, ParameterSpace
 from livlab.units import FloatArray
 
 CORNERS = 8
 """Points of the box that a recording is to serve beside its centre."""
 
 
-class Answer(Protocol):
+class Prediction(Protocol):
     """What a forward model answers."""
 
     @property
@@ -51,7 +51,7 @@ class Forward(Protocol):
     ) -> None:
         """Draw anew about a centre, so that `others` are served too, with `coarser` times the standard error."""
 
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Answer:
+    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Prediction:
         """The curve at given values."""
 
 
@@ -60,8 +60,10 @@ class Problem:
 
     Parameters
     ----------
-    forward, targets, space
-        What answers, what it is held against, and the parameters.
+    forward, targets
+        What answers, and the measured curves it is held against.
+    parameters
+        With bounds.
     eager
         Whether each answer comes with its derivatives at once, because the search asks for both.
 
@@ -72,15 +74,21 @@ class Problem:
     """
 
     def __init__(
-        self, forward: Forward, targets: Sequence[Target], space: ParameterSpace, *, eager: bool = False
+        self,
+        forward: Forward,
+        targets: Sequence[CurveTarget],
+        parameters: Sequence[Parameter] | ParameterSpace,
+        *,
+        eager: bool = False,
     ) -> None:
         if not targets:
             raise InputError.of("measurement", (), "at least one must be fitted", "Give one with role = 'fit'.")
-        self.forward, self.targets, self.space, self.eager = forward, tuple(targets), space, eager
+        self.forward, self.targets, self.eager = forward, tuple(targets), eager
+        self.space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)
         self.noise: FloatArray | None = None
         self.whitening: list[FloatArray | None] = [None] * len(self.targets)
         self._at: tuple[float, ...] | None = None
-        self._answer: Answer | None = None
+        self._answer: Prediction | None = None
         self.evaluations = 0
         narrow = getattr(forward, "focus", None)
         if narrow is not None:
@@ -106,7 +114,7 @@ class Problem:
         self.noise = np.array(noise(values)) if noise is not None else np.diag(np.square(found.standard_error))
         self.whitening = [t.whitening(found.value, self.noise) for t in self.targets]
 
-    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Answer:
+    def answer(self, values: Mapping[str, float], *, gradient: bool = False) -> Prediction:
         """The forward model's answer."""
         key = tuple(values.values())
         if self._at != key or self._answer is None or (gradient and not self._answer.slopes):

@@ -28,7 +28,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class CurveTarget:
     """One measured curve on the fit's wavelengths.
 
     Attributes
@@ -85,7 +85,7 @@ class Target:
         """Numbers that the comparison leaves free to differ: a scale takes one, a correlation two; a colour has three.
 
         >>> everywhere = np.full(3, True)
-        >>> Target("a", everywhere, np.ones(3), np.ones(3)).independent
+        >>> CurveTarget("a", everywhere, np.ones(3), np.ones(3)).independent
         2
         """
         if self.loss == "colour":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,14 @@ import pandas as pd
 from livlab.errors import InputError, Interrupted
 from livlab.optimise.algorithms import STOPS, Algorithm, choose, make
 from livlab.optimise.guard import Callback, Gradient, Guard, Objective
+from livlab.optimise.judge import does_nothing, sentences
 from livlab.optimise.parameters import Parameter, ParameterSpace
 from livlab.optimise.result import FitWarning, OptimiseResult
+from livlab.optimise.starts import finite_near, starting_points
 from livlab.units import FloatArray
 
 EVALUATIONS_PER_PARAMETER = 500
 GLOBAL_SHARE = 0.6
-RESCUE_POINTS = 64
 
 
 def minimise(
@@ -95,7 +97,7 @@ def minimise(
     """
     space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)
     free = len(space.free)
-    points, notes = _starting_points(space, starts, seed)
+    points, notes = starting_points(space, starts, seed)
     _check_limits(max_evaluations, max_seconds, one_sigma)
     limit = max_evaluations or EVALUATIONS_PER_PARAMETER * (free + 1) * len(points)
     guard = Guard(
@@ -111,28 +113,42 @@ def minimise(
     if free:
         boxed = not space.finite_box()
         chosen = choose(algorithm, free=free, gradient=gradient is not None, boxed=boxed)
+    search = _Search(tuple(points), chosen, seed, value_tolerance, parameter_tolerance)
     rows: list[dict[str, Any]] = []
-    for number, point in enumerate(points):
+    for number in range(len(points)):
         if guard.interrupted or guard.halted or (number and (guard.count >= limit or guard.seconds() >= max_seconds)):
             break
-        rows.append(_one_start(guard, chosen, number, point, len(points), seed, value_tolerance, parameter_tolerance))
-    return _finish(guard, space, points, rows, chosen, notes, seed, one_sigma, warn)
+        rows.append(_one_start(guard, search, number))
+    result = _result(guard, search, rows, notes)
+    if warn:
+        for sentence in result.warnings:
+            warnings.warn(sentence, FitWarning, stacklevel=2)
+    return result
 
 
-def _one_start(
-    guard: Guard,
-    chosen: tuple[Algorithm, ...],
-    number: int,
-    point: FloatArray,
-    of: int,
-    seed: int,
-    value_tolerance: float,
-    parameter_tolerance: float,
-) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is run: stages from each point, until the tolerances."""
+
+    points: tuple[FloatArray, ...]
+    stages: tuple[Algorithm, ...]
+    seed: int
+    value_tolerance: float
+    parameter_tolerance: float
+
+    @property
+    def algorithm(self) -> str:
+        """The stages in words."""
+        return " + ".join(s.name for s in self.stages) or "none"
+
+
+def _one_start(guard: Guard, search: _Search, number: int) -> dict[str, Any]:
+    """The stages from one point: where it ended, and how."""
+    point, seed, chosen = search.points[number], search.seed, search.stages
     before, x, stop, converged = guard.count, point, "nothing was free to vary", True
     guard.begin(number, "start", guard.max_evaluations)
     try:
-        x = _finite_near(guard, point, seed + number)
+        x = finite_near(guard, point, seed + number)
     except KeyboardInterrupt:
         guard.interrupted, stop, converged = True, "interrupted by the user", False
     stages = [s for s in chosen if number == 0 or not s.is_global] or list(chosen)
@@ -141,9 +157,9 @@ def _one_start(
         if guard.interrupted or guard.halted:
             break
         left = guard.max_evaluations - guard.count
-        share = GLOBAL_SHARE if stage.is_global and k + 1 < len(stages) else 1.0 / (of - number)
+        share = GLOBAL_SHARE if stage.is_global and k + 1 < len(stages) else 1.0 / (len(search.points) - number)
         guard.begin(number, stage.name, guard.count + max(1, int(share * left)))
-        stop, converged = _run(guard, stage, x, seed + number, value_tolerance, parameter_tolerance)
+        stop, converged = _run(guard, search, stage, x, seed + number)
         if guard.local_x is not None and guard.local <= value:
             x = found = guard.local_x
             value = guard.local
@@ -159,9 +175,7 @@ def _one_start(
     }
 
 
-def _run(
-    guard: Guard, stage: Algorithm, x: FloatArray, seed: int, value_tolerance: float, parameter_tolerance: float
-) -> tuple[str, bool]:
+def _run(guard: Guard, search: _Search, stage: Algorithm, x: FloatArray, seed: int) -> tuple[str, bool]:
     """One stage of NLopt from x; the guard keeps what it saw."""
     import nlopt
 
@@ -170,8 +184,8 @@ def _run(
     opt.set_lower_bounds(guard.space.low)
     opt.set_upper_bounds(guard.space.high)
     opt.set_min_objective(guard)
-    opt.set_ftol_rel(value_tolerance)
-    opt.set_xtol_abs(parameter_tolerance)
+    opt.set_ftol_rel(search.value_tolerance)
+    opt.set_xtol_abs(search.parameter_tolerance)
     opt.set_maxeval(max(1, guard.stage_limit - guard.count) + 1)
     if not stage.is_global and not stage.gradient:
         # A tenth of the box, towards the roomier side; NLopt's own guess shrinks to nothing beside a bound.
@@ -203,58 +217,6 @@ def _run(
     return words, converged
 
 
-def _finite_near(guard: Guard, point: FloatArray, seed: int) -> FloatArray:
-    """The point itself if its cost is finite, else the first such point of a Sobol sequence over the box."""
-    if math.isfinite(guard.probe(point)) or not guard.space.free:
-        return point
-    for other in _spread(guard.space, RESCUE_POINTS, seed + 7919):
-        if guard.count >= guard.max_evaluations or guard.seconds() >= guard.max_seconds:
-            break
-        if math.isfinite(guard.probe(other)):
-            return other
-    return point
-
-
-def _spread(space: ParameterSpace, count: int, seed: int) -> list[FloatArray]:
-    """Scrambled Sobol points over the box; about the start, normally spread by its unit, where a bound is infinite."""
-    from scipy.special import ndtri
-    from scipy.stats import qmc
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a count that is no power of 2 is fine here
-        shares = qmc.Sobol(len(space.free), rng=np.random.default_rng(seed)).random(count)
-    finite = np.isfinite(space.low) & np.isfinite(space.high)
-    low, high = np.where(finite, space.low, 0.0), np.where(finite, space.high, 1.0)
-    inside = low + (high - low) * shares
-    about = space.start + ndtri(np.clip(shares, 1e-6, 1 - 1e-6))
-    points = np.clip(np.where(finite, inside, about), space.low, space.high)
-    return [np.asarray(point, dtype=np.float64) for point in points]
-
-
-def _starting_points(
-    space: ParameterSpace, starts: int | Sequence[Mapping[str, float]], seed: int
-) -> tuple[list[FloatArray], list[str]]:
-    if isinstance(starts, int):
-        if starts < 1:
-            raise InputError.of("starts", starts, "must be at least 1", "Ask for one start or more.")
-        points = [space.start]
-        if starts > 1 and space.free:
-            points += _spread(space, starts - 1, seed)
-        return points, []
-    if not starts:
-        raise InputError.of("starts", starts, "is empty", "Give at least one mapping of values.")
-    points, notes = [], []
-    for number, given in enumerate(starts):
-        unknown = sorted(set(given) - set(space.by_name))
-        if unknown:
-            raise InputError.of(f"starts[{number}]", unknown, "are no parameters", f"Choose from {list(space.names)}.")
-        points.append(space.vector(given))
-        moved = [p.name for p in space.free if not p.low <= given.get(p.name, p.start_value) <= p.high]
-        if moved:
-            notes.append(f"start {number} lay outside the bounds of {', '.join(moved)} and was moved onto them")
-    return points, notes
-
-
 def _check_limits(max_evaluations: int | None, max_seconds: float, one_sigma: float) -> None:
     if max_evaluations is not None and max_evaluations < 1:
         raise InputError.of("max_evaluations", max_evaluations, "must be at least 1", "Allow one evaluation or more.")
@@ -264,38 +226,14 @@ def _check_limits(max_evaluations: int | None, max_seconds: float, one_sigma: fl
         raise InputError.of("one_sigma", one_sigma, "must be > 0", "Use 0.5 for a log-likelihood, 1 for chi-square.")
 
 
-def _finish(
-    guard: Guard,
-    space: ParameterSpace,
-    points: list[FloatArray],
-    rows: list[dict[str, Any]],
-    chosen: tuple[Algorithm, ...],
-    notes: list[str],
-    seed: int,
-    one_sigma: float,
-    warn: bool,
-) -> OptimiseResult:
-    if guard.best_x is None:
-        if guard.interrupted:
-            raise Interrupted("The fit was stopped before any point had a finite value.", remedy="Run it again.")
-        why = f"The first failure: {guard.first_error!r}. " if guard.first_error else ""
-        raise InputError.of(
-            "objective",
-            f"no finite value in {guard.count} evaluations",
-            "must be finite somewhere within the bounds",
-            f"{why}Check the objective at the start, or move the bounds.",
-        ) from guard.first_error
-    best = guard.best_x
+def _result(guard: Guard, search: _Search, rows: list[dict[str, Any]], notes: list[str]) -> OptimiseResult:
+    """The best point of all starts, and what to mistrust about it."""
+    best, space = _best_point(guard), guard.space
     winner = min(range(len(rows)), key=lambda k: float(rows[k]["value"]))
-    status = space.status(best, points[winner])
+    status = space.status(best, search.points[winner])
     values = space.values(best)
     path = guard.path()
-    idle = [name for name, word in status.items() if word.startswith("unchanged") and _idle(guard, best, name)]
-    notes = [*notes, *_judge(guard, space, status, values, path, idle)]
-    stop = "interrupted by the user" if guard.interrupted else str(rows[winner]["stop"])
-    if warn:
-        for sentence in notes:
-            warnings.warn(sentence, FitWarning, stacklevel=3)
+    idle = [name for name, word in status.items() if word.startswith("unchanged") and does_nothing(guard, best, name)]
     starts = pd.DataFrame(rows)
     starts.index.name = "start"
     return OptimiseResult(
@@ -305,56 +243,34 @@ def _finish(
         evaluations=guard.count,
         failures=guard.failures,
         seconds=guard.seconds(),
-        stop=stop,
+        stop="interrupted by the user" if guard.interrupted else str(rows[winner]["stop"]),
         converged=bool(rows[winner]["converged"]) and not guard.interrupted,
         interrupted=guard.interrupted,
         path=path,
         starts=starts,
-        warnings=tuple(notes),
-        algorithm=" + ".join(s.name for s in chosen) or "none",
-        seed=seed,
-        one_sigma=one_sigma,
+        warnings=(*notes, *sentences(guard, space, status, values, path, idle)),
+        algorithm=search.algorithm,
+        seed=search.seed,
+        one_sigma=0.5 * guard.prior_scale,
     )
 
 
-def _idle(guard: Guard, best: FloatArray, name: str) -> bool:
-    """Whether a hundredth of the box (or of the unit) in one parameter leaves the objective as it is."""
-    space = guard.space
-    k = space.names.index(name)
-    width = space.high[k] - space.low[k]
-    step = 0.01 * (width if math.isfinite(width) else 1.0)
-    moved = best.copy()
-    moved[k] += step if moved[k] + step <= space.high[k] else -step
-    try:
-        return float(guard.objective(space.values(moved))) == float(guard.objective(space.values(best)))
-    except Exception:
-        return False
+def _best_point(guard: Guard) -> FloatArray:
+    """Where the least was seen.
 
-
-def _judge(
-    guard: Guard,
-    space: ParameterSpace,
-    status: dict[str, str],
-    values: dict[str, float],
-    path: pd.DataFrame,
-    idle: list[str],
-) -> list[str]:
-    """Sentences on what a reader should not trust."""
-    notes = []
-    if not space.free:
-        notes.append("no parameter is free: the objective was only evaluated")
-    finite = path["value"][np.isfinite(path["value"])]
-    level = float(finite.abs().max())
-    if space.free and len(finite) > 1 and float(finite.max() - finite.min()) <= 1e-13 * level:
-        notes.append("the objective is flat: it did not change over the points tried, so the parameters mean nothing")
-    for name, word in status.items():
-        if word.startswith("at "):
-            notes.append(f"{name} = {values[name]:.6g} sits {word}: the optimum may lie beyond it")
-        elif name in idle:
-            notes.append(f"{name} = {values[name]:.6g} is as it started: the objective does not depend on it there")
-    if guard.failures:
-        why = f", the first by {guard.first_error!r}" if guard.first_error else " (no finite number)"
-        notes.append(f"{guard.failures} of {guard.count} evaluations failed{why}")
-    elif guard.first_error is not None:
-        notes.append(f"the gradient failed, first by {guard.first_error!r}")
-    return notes
+    Raises
+    ------
+    Interrupted, InputError
+        It was seen nowhere.
+    """
+    if guard.best_x is not None:
+        return guard.best_x
+    if guard.interrupted:
+        raise Interrupted("The fit was stopped before any point had a finite value.", remedy="Run it again.")
+    why = f"The first failure: {guard.first_error!r}. " if guard.first_error else ""
+    raise InputError.of(
+        "objective",
+        f"no finite value in {guard.count} evaluations",
+        "must be finite somewhere within the bounds",
+        f"{why}Check the objective at the start, or move the bounds.",
+    ) from guard.first_error

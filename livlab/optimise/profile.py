@@ -101,17 +101,18 @@ def profile(
     lower_minimum = None
     if float(better["rise"]) < -1e-3 * one_sigma:
         lower_minimum = {str(k): float(v) for k, v in better.items() if k != "rise"}
+    (lower, open_below), (upper, open_above) = sides
     return Profile(
-        name,
-        level,
-        sides[0][0],
-        centre_values[name],
-        sides[1][0],
-        sides[0][1],
-        sides[1][1],
-        curve,
-        lower_minimum,
-        walker.evaluations,
+        name=name,
+        level=level,
+        lower=lower,
+        value=centre_values[name],
+        upper=upper,
+        open_below=open_below,
+        open_above=open_above,
+        curve=curve,
+        lower_minimum=lower_minimum,
+        evaluations=walker.evaluations,
     )
 
 

@@ -15,8 +15,9 @@ from fit_forwards import Walked
 from livlab.errors import InputError
 from livlab.fitting.fit import fit
 from livlab.fitting.intervals import Profiler
+from livlab.fitting.options import FitOptions
 from livlab.fitting.problem import Problem
-from livlab.fitting.targets import Target
+from livlab.fitting.targets import CurveTarget
 from livlab.kinds.fit import coverage as fit_coverage
 from livlab.kinds.fit.round_trip import Trip, round_trip
 from livlab.optimise import Parameter, ParameterSpace, profile
@@ -25,13 +26,18 @@ X = np.linspace(0.0, 2.0, 21)
 ALL = np.ones(21, dtype=bool)
 
 SPACE = ParameterSpace([Parameter("a", 0.5, 3.0, 1.5), Parameter("k", 0.3, 3.0, 1.0, "log"), Parameter("c", 0.0, 1.0)])
-TARGET = Target("made", ALL, 1.0 + X, 0.03 * (1.0 + X), "none", "chi2")
+TARGET = CurveTarget("made", ALL, 1.0 + X, 0.03 * (1.0 + X), "none", "chi2")
 
 
-def trips(forward: Any, count: int, *, target: Target = TARGET, space: ParameterSpace = SPACE) -> list[Trip]:
+def trips(forward: Any, count: int, *, target: CurveTarget = TARGET, space: ParameterSpace = SPACE) -> list[Trip]:
     return [
         round_trip(
-            forward, [target], space, relative_sd=None, rng=np.random.default_rng([11, i]), seed=100_000 * (i + 1)
+            forward,
+            [target],
+            space,
+            FitOptions(seed=100_000 * (i + 1), most_recordings=2),
+            relative_sd=None,
+            rng=np.random.default_rng([11, i]),
         )
         for i in range(count)
     ]
@@ -84,8 +90,8 @@ def test_what_a_shape_cannot_hold_is_named() -> None:
 def test_ends_are_those_of_the_profile_walked_step_by_step(scaling: str, seed: int) -> None:
     forward, rng = Walked(sd=1e-3), np.random.default_rng(seed)
     data = 1.2 * np.exp(-1.1 * X) + 0.1 + 0.05 * rng.standard_normal(21)
-    target = Target("made", ALL, data, np.full(21, 0.05), scaling, "chi2")  # type: ignore[arg-type]
-    found = fit(forward, [target], SPACE)
+    target = CurveTarget("made", ALL, data, np.full(21, 0.05), scaling, "chi2")  # type: ignore[arg-type]
+    found = fit(Problem(forward, [target], SPACE))
     problem = Problem(forward, [target], SPACE, eager=True)
     problem.freeze_errors(found.best)
     quick = Profiler(problem, SPACE, found.best)
@@ -109,9 +115,9 @@ def test_ends_are_those_of_the_profile_walked_step_by_step(scaling: str, seed: i
 
 
 def test_a_prior_is_a_part_of_the_interval() -> None:
-    flat = Target("made", ALL, np.full(21, 1.0), np.full(21, 0.02), "free", "chi2")
+    flat = CurveTarget("made", ALL, np.full(21, 1.0), np.full(21, 0.02), "free", "chi2")
     known = ParameterSpace([Parameter("a", 0.5, 3.0, prior_mean=1.5, prior_sd=0.1), *SPACE.parameters[1:]])
-    found = fit(Walked(sd=1e-4), [replace(flat, data=1.5 * np.exp(-X) + 0.3)], known)
+    found = fit(Problem(Walked(sd=1e-4), [replace(flat, data=1.5 * np.exp(-X) + 0.3)], known))
     low, high = found.intervals().loc["a", ["lower", "upper"]]
     assert high - low == pytest.approx(2 * 1.96 * 0.1, rel=0.1)
 

@@ -62,12 +62,12 @@ class FitParameter(Section):
             self.low,
             self.high,
             self.start,
-            self.transform,
-            self.fixed,
-            tied,
-            self.factor,
-            self.prior_mean,
-            self.prior_sd,
+            transform=self.transform,
+            fixed=self.fixed,
+            tied=tied,
+            factor=self.factor,
+            prior_mean=self.prior_mean,
+            prior_sd=self.prior_sd,
         )
 
 

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from livlab.errors import InputError, Interrupted
-from livlab.fitting.fit import GUIDE, FitOutcome
+from livlab.fitting.fit import GUIDE
+from livlab.fitting.options import FitOptions
+from livlab.fitting.outcome import FitOutcome
 from livlab.kinds.fit import coverage as fit_coverage
 from livlab.kinds.fit import tables
 from livlab.kinds.fit.config import FitExperiment, Measurement
 from livlab.kinds.fit.round_trip import SEEDS, Trip, round_trip
-from livlab.kinds.fit.setup import Curve, FitSetup
+from livlab.kinds.fit.setup import FitSetup, MeasuredCurve
 from livlab.kinds.shared import tissue_tables
 from livlab.kinds.shared.references import Known, load_reference
 from livlab.kinds.shared.sections import Reference
@@ -41,7 +43,8 @@ def prepare(config: FitExperiment) -> Callable[[Run], None]:
         raise InputError.of(
             "measurement", "none available", known[0].reason or "has no numbers", "Add the data: livlab data add FILE."
         )
-    curves = {m.label: Curve.known(k, grid) for m, k in zip(config.measurement, known, strict=True) if k.dataset}
+    there = [(m.label, k) for m, k in zip(config.measurement, known, strict=True) if k.dataset]
+    curves = {label: MeasuredCurve.known(k, grid) for label, k in there}
     setup = FitSetup.of(config, curves)
     return lambda run: _work(run, setup, known)
 
@@ -113,12 +116,15 @@ def _round_trips(run: Run, setup: FitSetup) -> list[Trip]:
                 setup.forward,
                 setup.fitted,
                 setup.space,
+                FitOptions(
+                    algorithm=setup.algorithm,
+                    starts=config.search.starts,
+                    seed=config.seed + (number + 1) * SEEDS,
+                    most_recordings=2,
+                    level=config.level,
+                ),
                 relative_sd=how.relative_sd,
                 rng=np.random.default_rng([config.seed, number]),
-                seed=config.seed + (number + 1) * SEEDS,
-                level=config.level,
-                starts=config.search.starts,
-                algorithm=setup.algorithm,
                 stopping=run.stopping.is_set,
             )
         )

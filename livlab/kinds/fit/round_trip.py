@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from livlab.errors import InputError, LivlabError
-from livlab.fitting.fit import FitOutcome, fit
-from livlab.fitting.intervals import Interval
+from livlab.fitting.fit import fit
+from livlab.fitting.intervals import ProfileInterval
+from livlab.fitting.options import FitOptions
+from livlab.fitting.outcome import FitOutcome
 from livlab.fitting.problem import Forward, Problem
-from livlab.fitting.targets import Target
+from livlab.fitting.targets import CurveTarget
 from livlab.optimise import ParameterSpace
 from livlab.units import FloatArray
 
@@ -52,7 +54,7 @@ class Held:
     parameter: str
     truth: float
     value: float
-    interval: Interval
+    interval: ProfileInterval
     normal: bool | None
     width: float
     partner: str
@@ -83,16 +85,12 @@ class Trip:
 
 def round_trip(
     forward: Forward,
-    targets: Sequence[Target],
+    targets: Sequence[CurveTarget],
     space: ParameterSpace,
+    options: FitOptions,
     *,
     relative_sd: float | None,
     rng: np.random.Generator,
-    seed: int,
-    level: float = 0.95,
-    starts: int = 1,
-    algorithm: str | tuple[str, ...] = "auto",
-    most_recordings: int = 2,
     stopping: Callable[[], bool] | None = None,
 ) -> Trip:
     """Draw a tissue, simulate its curves with fresh draws and noise, fit them, and see what is held.
@@ -100,16 +98,14 @@ def round_trip(
     Parameters
     ----------
     forward, targets, space
-        As of `fit`; the targets say band, scaling and weight, and what σ is as a share of the curve.
+        As of `Problem`; the targets say band, scaling and weight, and what σ is as a share of the curve.
+    options
+        Of the fit; `seed` is that of its walks, 1000 apart, and the simulation's is far from them.
     relative_sd
         Noise as a share of the curve at each point; None: that of the targets' own σ.
     rng
         Draws tissue and noise.
-    seed
-        Of the walks: the simulation's, and 1000 apart those of the fit.
-    level
-        Coverage that the intervals claim.
-    starts, algorithm, most_recordings, stopping
+    stopping
         As of `fit`.
 
     Raises
@@ -124,22 +120,12 @@ def round_trip(
                 "Use loss = 'chi2' with a standard deviation for a round trip.",
             )  # fmt: skip
     truth = draw(forward, space, rng)
-    forward.record(truth, (), seed=seed + SEEDS // 2)
+    forward.record(truth, (), seed=options.seed + SEEDS // 2)
     clean = forward.answer(truth)
     noise = getattr(forward, "noise_covariance", None)
     spread = np.array(noise(truth)) if noise is not None else np.diag(np.square(clean.standard_error))
     made = [_simulated(t, clean.value, spread, relative_sd, rng) for t in targets]
-    found = fit(
-        forward,
-        made,
-        space,
-        algorithm=algorithm,
-        starts=starts,
-        seed=seed,
-        most_recordings=most_recordings,
-        level=level,
-        stopping=stopping,
-    )
+    found = fit(Problem(forward, made, space), options, stopping=stopping)
     return _judged(forward, made, found, truth)
 
 
@@ -172,8 +158,8 @@ def draw(forward: Forward, space: ParameterSpace, rng: np.random.Generator) -> d
 
 
 def _simulated(
-    target: Target, curve: FloatArray, spread: FloatArray, relative_sd: float | None, rng: np.random.Generator
-) -> Target:
+    target: CurveTarget, curve: FloatArray, spread: FloatArray, relative_sd: float | None, rng: np.random.Generator
+) -> CurveTarget:
     """The target with a simulated curve, its noise, and the errors of the walk that made it."""
     share = target.sigma / np.abs(target.data) if relative_sd is None else np.full_like(target.data, relative_sd)
     sigma = share * np.abs(curve)
@@ -181,7 +167,7 @@ def _simulated(
     return replace(target, data=data, sigma=sigma, covariance=spread)
 
 
-def _judged(forward: Forward, targets: Sequence[Target], found: FitOutcome, truth: Mapping[str, float]) -> Trip:
+def _judged(forward: Forward, targets: Sequence[CurveTarget], found: FitOutcome, truth: Mapping[str, float]) -> Trip:
     space = found.space
     normal = found.covariance.intervals(found.level)
     pairs = {name: (other, rho) for a, b, rho in found.verdict.pairs for name, other in ((a, b), (b, a))}

@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError, RangeError
-from livlab.fitting.fit import FitOutcome, fit
+from livlab.fitting.fit import fit
 from livlab.fitting.forward import LedgerForward, Response
+from livlab.fitting.options import FitOptions
+from livlab.fitting.outcome import FitOutcome
+from livlab.fitting.problem import Problem
 from livlab.fitting.scenes import JointForward
-from livlab.fitting.targets import Target
+from livlab.fitting.targets import CurveTarget
 from livlab.kinds.fit import tables
 from livlab.kinds.fit.config import FitExperiment, Measurement, Scene
 from livlab.model.tissue.tissue import Tissue, override
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class MeasuredCurve:
     """A measured curve on the fit's wavelengths.
 
     Attributes
@@ -57,7 +60,7 @@ class Curve:
         N measured numbers that are compared at M > N wavelengths would count as M, and intervals would be too narrow by
         about √(M/N).
 
-        >>> curve = Curve(np.arange(5.0), None, np.array([500.0, 540.0]))
+        >>> curve = MeasuredCurve(np.arange(5.0), None, np.array([500.0, 540.0]))
         >>> curve.own(np.full(5, True), np.linspace(500.0, 540.0, 5)).tolist()
         [True, False, False, False, True]
         """
@@ -93,11 +96,11 @@ class FitSetup:
     config: FitExperiment
     space: ParameterSpace
     forward: JointForward
-    targets: dict[str, Target]
+    targets: dict[str, CurveTarget]
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, config: FitExperiment, curves: Mapping[str, Curve]) -> Self:
+    def of(cls, config: FitExperiment, curves: Mapping[str, MeasuredCurve]) -> Self:
         """Everything that can go wrong before light is followed: bands, the tissue at the start.
 
         Raises
@@ -117,13 +120,13 @@ class FitSetup:
         return cls(config, space, forward, targets, tuple(filter(None, notes)))
 
     @property
-    def fitted(self) -> list[Target]:
+    def fitted(self) -> list[CurveTarget]:
         """The targets that the fit sees."""
         return [self.targets[m.label] for m in self.config.measurement if m.role == "fit" and m.label in self.targets]
 
     @property
     def algorithm(self) -> str | tuple[str, ...]:
-        """As `livlab.fitting.fit.fit` takes it."""
+        """As `livlab.fitting.options.FitOptions` has it."""
         asked = self.config.search.algorithm
         return "auto" if asked == ("auto",) else asked
 
@@ -135,10 +138,7 @@ class FitSetup:
     ) -> FitOutcome:
         """`livlab.fitting.fit.fit` as the experiment asks for it."""
         how = self.config.search
-        return fit(
-            self.forward,
-            self.fitted,
-            self.space,
+        options = FitOptions(
             algorithm=self.algorithm,
             starts=how.starts,
             seed=self.config.seed,
@@ -146,9 +146,9 @@ class FitSetup:
             max_seconds=how.max_seconds,
             most_recordings=how.most_recordings,
             level=self.config.level,
-            progress=progress,
-            stopping=stopping,
         )
+        problem = Problem(self.forward, self.fitted, self.space)
+        return fit(problem, options, progress=progress, stopping=stopping)
 
     def curves(self, found: FitOutcome) -> tuple[Response, FloatArray]:
         """The model at the optimum, and at the start, nan where the last walk cannot answer for the start."""
@@ -186,7 +186,7 @@ def _forward(config: FitExperiment, scene: Scene) -> LedgerForward:
     )
 
 
-def target(m: Measurement, curve: Curve, grid: FloatArray, place: int, scenes: int) -> Target:
+def target(m: Measurement, curve: MeasuredCurve, grid: FloatArray, place: int, scenes: int) -> CurveTarget:
     """A measurement on the wavelengths of its own scene; the other scenes' places are not used.
 
     Raises
@@ -223,12 +223,19 @@ def target(m: Measurement, curve: Curve, grid: FloatArray, place: int, scenes: i
         made[place] = values
         return made.ravel()
 
-    return Target(
-        m.label, placed(use, False), placed(data, np.nan), placed(sigma, np.nan), m.scaling, m.loss, m.weight, colour
+    return CurveTarget(
+        m.label,
+        placed(use, False),
+        placed(data, np.nan),
+        placed(sigma, np.nan),
+        scaling=m.scaling,
+        loss=m.loss,
+        weight=m.weight,
+        colour=colour,
     )
 
 
-def _thinned(made: Target, curve: Curve, m: Measurement, grid: FloatArray) -> str:
+def _thinned(made: CurveTarget, curve: MeasuredCurve, m: Measurement, grid: FloatArray) -> str:
     """What to say of a curve with fewer points than the wavelengths compared; nothing for others."""
     low, high = m.band_nm or (-np.inf, np.inf)
     there = int((np.isfinite(curve.data) & (grid >= low) & (grid <= high)).sum())
@@ -277,4 +284,4 @@ def _lab_of(wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray]:
     return lab
 
 
-__all__ = ["Curve", "FitSetup", "colour_of", "scene_of", "target"]
+__all__ = ["FitSetup", "MeasuredCurve", "colour_of", "scene_of", "target"]

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 from livlab.criteria import Claim
-from livlab.fitting.fit import FitOutcome
-from livlab.fitting.targets import Target
+from livlab.fitting.outcome import FitOutcome
+from livlab.fitting.targets import CurveTarget
 from livlab.kinds.fit.config import FitExperiment
 from livlab.units import FloatArray
 
@@ -65,7 +65,7 @@ def named(text: str, config: FitExperiment) -> str:
 
 
 def result(
-    config: FitExperiment, best: Any, begin: FloatArray, targets: dict[str, Target], found: FitOutcome
+    config: FitExperiment, best: Any, begin: FloatArray, targets: dict[str, CurveTarget], found: FitOutcome
 ) -> xr.Dataset:
     """Curves as they are and as they were compared; `begin` is the model at the start, nan where it is not known."""
     grid = config.wavelengths.grid()
@@ -142,7 +142,7 @@ def _number(value: Any) -> float | None:
 
 
 def scores(
-    config: FitExperiment, targets: dict[str, Target], best: FloatArray, first: FloatArray
+    config: FitExperiment, targets: dict[str, CurveTarget], best: FloatArray, first: FloatArray
 ) -> list[dict[str, object]]:
     """Rows of scores.csv, a measurement each."""
     grid = config.wavelengths.grid()

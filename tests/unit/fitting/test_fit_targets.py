@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from livlab.errors import InputError
-from livlab.fitting.targets import Target
+from livlab.fitting.targets import CurveTarget
 from livlab.metrics import pearson, rmse
 
 X = np.linspace(0.0, 1.0, 21)
@@ -16,9 +16,9 @@ ALL = np.ones(21, dtype=bool)
 NAN = np.full(21, np.nan)
 
 
-def target(**changes: object) -> Target:
+def target(**changes: object) -> CurveTarget:
     given: dict[str, object] = {"label": "a", "use": ALL, "data": DATA, "sigma": NAN, "scaling": "none"}
-    return Target(**(given | changes))  # type: ignore[arg-type]
+    return CurveTarget(**(given | changes))  # type: ignore[arg-type]
 
 
 def test_squares_sum_to_the_mean_square() -> None:

@@ -133,7 +133,7 @@ def test_a_reference_shorter_than_the_band_is_compared_where_it_is() -> None:
     text = source(BLOOD, HUMAN).replace("start_nm = 520", "start_nm = 440")
     config = parse_experiment(text)
     measurement, grid = config.measurement[0], config.wavelengths.grid()  # type: ignore[attr-defined]
-    found = fit_setup.target(measurement, fit_setup.Curve.known(fit_job._load(measurement), grid), grid, 0, 1)
+    found = fit_setup.target(measurement, fit_setup.MeasuredCurve.known(fit_job._load(measurement), grid), grid, 0, 1)
     assert found.size == 11
     refused(text.replace("stop_nm = 700", "stop_nm = 480"), "measurement human", "0 points")
     refused(text + "band_nm = [450, 600]\n", "human.band_nm", "beyond the curve, 500", "band_nm = [500, 600]")

@@ -13,7 +13,7 @@ from livlab.api.fitting import _asked, _curve, _parameter
 from livlab.config import parse_experiment
 from livlab.errors import ConfigError, InputError
 from livlab.fitting.forward import Response
-from livlab.kinds.fit.setup import Curve, FitSetup
+from livlab.kinds.fit.setup import FitSetup, MeasuredCurve
 from livlab.optimise import Parameter, ParameterSpace
 
 TEXT = """
@@ -54,7 +54,7 @@ MEASURED = np.linspace(450.0, 700.0, 26)
 
 def setup(**curves: Any) -> FitSetup:
     config = parse_experiment(TEXT)
-    made = {k: Curve(np.asarray(v, dtype=float), None, MEASURED) for k, v in curves.items()}
+    made = {k: MeasuredCurve(np.asarray(v, dtype=float), None, MEASURED) for k, v in curves.items()}
     return FitSetup.of(config, made)  # type: ignore[arg-type]
 
 
@@ -75,17 +75,17 @@ def test_a_set_up_places_each_curve_in_the_scene_of_its_tissue() -> None:
 def test_interpolated_points_do_not_count_as_measured_ones() -> None:
     config = parse_experiment(TEXT.replace("list_nm = [500, 550, 600]", "start_nm = 500\nstop_nm = 600\nstep_nm = 10"))
     grid = config.wavelengths.grid()  # type: ignore[union-attr]
-    coarse = Curve(np.linspace(0.2, 0.4, 11), None, np.array([440.0, 499.0, 503.0, 548.0, 600.0, 660.0]))
+    coarse = MeasuredCurve(np.linspace(0.2, 0.4, 11), None, np.array([440.0, 499.0, 503.0, 548.0, 600.0, 660.0]))
     made = FitSetup.of(config, {"a": coarse})  # type: ignore[arg-type]
     np.testing.assert_array_equal(grid[made.targets["a"].use[:11]], [500.0, 550.0, 600.0])
     assert made.targets["a"].independent == 2
     (note,) = made.notes
     assert note.startswith("a was measured at fewer wavelengths than the fit has: 3 of 11 are compared")
-    fine = FitSetup.of(config, {"a": Curve(coarse.data, None, grid)})  # type: ignore[arg-type]
+    fine = FitSetup.of(config, {"a": MeasuredCurve(coarse.data, None, grid)})  # type: ignore[arg-type]
     assert fine.targets["a"].size == 11
     assert fine.notes == ()
     with pytest.raises(InputError, match=r"measurement a = '1 points': must have 2 or more"):
-        FitSetup.of(config, {"a": Curve(coarse.data, None, np.array([300.0, 549.0, 800.0]))})  # type: ignore[arg-type]
+        FitSetup.of(config, {"a": MeasuredCurve(coarse.data, None, np.array([300.0, 549.0, 800.0]))})  # type: ignore[arg-type]
 
 
 def test_the_start_is_nan_where_the_last_walk_cannot_answer() -> None:

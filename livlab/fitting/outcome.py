@@ -1,0 +1,95 @@
+"""What a fit leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from livlab.fitting.intervals import ProfileInterval
+from livlab.optimise import Covariance, Identifiability, OptimiseResult, ParameterSpace
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitOutcome:
+    """A finished fit.
+
+    Attributes
+    ----------
+    best, space
+        Every parameter's value by name, and the parameters.
+    loss, fresh_loss
+        Σ r² at the optimum, with the draws of the search and with fresh ones.
+    searches
+        One result a recording, the last one first in trust.
+    drift
+        Change of each free parameter from the last recording but one to the last: what it owes to chance.
+    settled
+        Whether fresh draws moved no parameter by more than a share of its standard deviation.
+    covariance
+        At the optimum, of the residuals; scaled by `residual_scale`.
+    residual_scale
+        Factor on the covariance: 1 where every σ is known (chi2), else what the residuals themselves show.
+    autocorrelation
+        Of neighbouring residuals; their scale counts fewer points where it is high.
+    verdict
+        What the data do not hold.
+    profiled
+        Profile-likelihood interval of each free parameter at `level`, also of those at a bound.
+    level
+        Coverage that the intervals claim.
+    notes
+        Sentences that a report must show.
+    seconds
+        By stage.
+    """
+
+    best: dict[str, float]
+    space: ParameterSpace
+    loss: float
+    fresh_loss: float
+
+    searches: tuple[OptimiseResult, ...]
+    drift: dict[str, float]
+    settled: bool
+
+    covariance: Covariance
+    residual_scale: float
+    autocorrelation: float
+    verdict: Identifiability
+
+    profiled: Mapping[str, ProfileInterval]
+    level: float
+
+    notes: tuple[str, ...]
+    seconds: Mapping[str, float]
+    path: pd.DataFrame = field(repr=False)
+
+    def intervals(self) -> pd.DataFrame:
+        """Lower, value, upper (profile likelihood), sd, status, open, drift by parameter; fixed ones have no interval.
+
+        `open` says which ends are bounds that the data do not exclude: "", "below", "above" or "both".
+        """
+        rows = {}
+        for name, value in self.best.items():
+            p = self.space.by_name[name]
+            found, factor = self.profiled.get(p.tied or name), p.factor if p.tied else 1.0
+            ends = sorted((factor * found.lower, factor * found.upper)) if found is not None else [math.nan, math.nan]
+            sides = (found.open_below, found.open_above) if found is not None else (False, False)
+            rows[name] = {
+                "lower": ends[0],
+                "value": value,
+                "upper": ends[1],
+                "sd": self.covariance.sd.get(name, math.nan),
+                "status": self.searches[-1].status[name],
+                "drift": self.drift.get(name, math.nan),
+                "open": _OPEN[sides[::-1] if factor < 0 else sides],
+            }
+        made = pd.DataFrame.from_dict(rows, orient="index")
+        made.index.name = "parameter"
+        return made
+
+
+_OPEN = {(False, False): "", (True, False): "below", (False, True): "above", (True, True): "both"}
