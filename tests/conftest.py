@@ -1,6 +1,10 @@
 import contextlib
 import os
 
+# Before numpy is loaded: its matrices are small here, and threads that wait for each other on cores that the other
+# worker keeps busy cost up to ten times what they save. Programs that tests start inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 
