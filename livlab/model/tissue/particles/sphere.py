@@ -10,7 +10,8 @@ sections over π r² (Bohren & Huffman 1983, eqs. 4.61, 4.62, 4.82).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -287,9 +288,27 @@ def _miepython() -> _Library:
     import miepython
 
     try:
-        from miepython import mie_jit
+        with _kept_kernels():
+            from miepython import mie_jit
 
         return _Library(mie_jit._single_sphere_nb, mie_jit._an_bn_nb, True)
     except (ImportError, AttributeError, RuntimeError) as trouble:
         warnings.warn(f"miepython runs uncompiled: {trouble}", UserWarning, stacklevel=2)
         return _Library(miepython.single_sphere, miepython.an_bn, False)
+
+
+@contextmanager
+def _kept_kernels() -> Iterator[None]:
+    """While this lasts, what numba compiles is kept on disk unless it is told not to.
+
+    One kernel of miepython's, which is not even needed here, does not ask for it, and took each process that
+    imports them 1.5 s.
+    """
+    import numba
+
+    njit = numba.njit
+    numba.njit = lambda *signature, **options: njit(*signature, **{"cache": True, **options})
+    try:
+        yield
+    finally:
+        numba.njit = njit
