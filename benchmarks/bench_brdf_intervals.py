@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from livlab.acquire.instruments.sphere_rig import SphereRig, photograph, ring
 from livlab.acquire.photographs.extract import extract_samples
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.brdf.fit.fit import fit, pack
 from livlab.brdf.fit.problem import Problem
 from livlab.brdf.fit.spread import spread

@@ -137,7 +137,7 @@ def plot(data: xr.Dataset, found: FitResult | None = None, *, title: str = "") -
 
 def _from_photographs(path: Path, progress: Callable[[int, int], None] | None, options: dict[str, Any]) -> xr.Dataset:
     from livlab.acquire.photographs.extract import extract_samples
-    from livlab.acquire.photographs.rig import open_rig
+    from livlab.acquire.photographs.open import open_rig
 
     photographs = open_rig(path)
     found = extract_samples(photographs, progress=progress, **options)

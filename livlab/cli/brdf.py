@@ -53,7 +53,7 @@ def extract(
 ) -> None:
     """Samples of a BRDF from photographs of a sphere; what is wrong or uncorrected is told."""
     from livlab.acquire.photographs.extract import extract_samples
-    from livlab.acquire.photographs.rig import open_rig
+    from livlab.acquire.photographs.open import open_rig
     from livlab.brdf.files.formats import write_brdf
     from livlab.brdf.models.model import model
 

@@ -10,7 +10,7 @@ import pytest
 
 from livlab.acquire.photographs.linearity import Linearity
 from livlab.acquire.photographs.merge import Merged
-from livlab.acquire.photographs.rig import Frames, PhotographedRig
+from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig
 from livlab.brdf.angles import local_frames
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.models.model import model
@@ -79,7 +79,7 @@ def pictures(material: str, lights: str) -> np.ndarray:
 
 def verdict(material: str, how: str, lights: str) -> Linearity:
     stored = encoded(pictures(material, lights), how)[..., None].astype(np.float32)
-    shots = Frames(lambda k: Merged(stored[k], stored[k], 0.0, 0.0, (1.0,)), len(stored), stored.shape[1:])
+    shots = DevelopedFrames(lambda k: Merged(stored[k], stored[k], 0.0, 0.0, (1.0,)), len(stored), stored.shape[1:])
     rig = PhotographedRig(
         "made", shots, ("grey",), CAMERA, tuple(Light([1.0], direction=d) for d in LIGHTS[lights]), SPHERE, None,
         np.zeros((4, 4)), tuple(np.zeros((3, 3)) for _ in stored), np.ones(1),

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.special import erf
 
-from livlab.acquire.micrographs.files import Page
+from livlab.acquire.micrographs.files import MicrographPage
 from livlab.acquire.micrographs.fractions import Method, counting_error, measure_page
 
 
@@ -98,7 +98,7 @@ def test_a_narrow_strip_is_blocked_along_its_length():
 
 
 def page_of(values):
-    return Page("noisy", 0, values, None, True, 255.0)
+    return MicrographPage("noisy", 0, values, None, True, 255.0)
 
 
 def noisy_strips(rng, share, sigma, background, level, blur):

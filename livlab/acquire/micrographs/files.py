@@ -28,7 +28,7 @@ _NO_IMAGE = "Give a PNG, JPEG or TIFF with a red, a green and a blue channel, or
 
 
 @dataclass(frozen=True)
-class Page:
+class MicrographPage:
     """One image of a file.
 
     Attributes
@@ -56,7 +56,7 @@ class Page:
     notes: tuple[str, ...] = ()
 
 
-def read_pages(path: Path) -> Iterator[Page]:
+def read_pages(path: Path) -> Iterator[MicrographPage]:
     """The pages of an image file, decoded one by one.
 
     Raises
@@ -83,7 +83,7 @@ def read_pages(path: Path) -> Iterator[Page]:
         ) from error
 
 
-def _page(path: Path, number: int, array: NDArray[Any], *, is_rgb: bool, notes: tuple[str, ...] = ()) -> Page:
+def _page(path: Path, number: int, array: NDArray[Any], *, is_rgb: bool, notes: tuple[str, ...] = ()) -> MicrographPage:
     name = f"{path.name}, page {number}"
     inside: NDArray[np.bool_] | None = None
     if is_rgb and array.shape[2] == 4:
@@ -106,7 +106,7 @@ def _page(path: Path, number: int, array: NDArray[Any], *, is_rgb: bool, notes: 
         full_scale = float(np.iinfo(array.dtype).max)
     else:
         raise InputError.of(name, str(array.dtype), "must be unsigned integers or floating point", "Save it so.")
-    return Page(path.name, number, array, inside, is_rgb, full_scale, notes)
+    return MicrographPage(path.name, number, array, inside, is_rgb, full_scale, notes)
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -123,7 +123,7 @@ def _gray(path: Path, what: str) -> InputError:
     return InputError.of("image", f"{path.name}: {what}", "has no colour to tell collagen from elastin", _NO_IMAGE)
 
 
-def _pillow_pages(path: Path, magic: bytes) -> Iterator[Page]:
+def _pillow_pages(path: Path, magic: bytes) -> Iterator[MicrographPage]:
     from PIL import Image, ImageSequence, UnidentifiedImageError
 
     with warnings.catch_warnings():
@@ -168,7 +168,7 @@ def _deep_png(path: Path) -> NDArray[Any]:
     return np.asarray(array[..., [2, 1, 0, 3][: array.shape[2]]])
 
 
-def _tiff_pages(path: Path) -> Iterator[Page]:
+def _tiff_pages(path: Path) -> Iterator[MicrographPage]:
     with opened_tiff(path, "image") as file:
         if not file.series:
             raise ValueError("no page")

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from livlab.acquire.micrographs.files import Page, read_pages
+from livlab.acquire.micrographs.files import MicrographPage, read_pages
 from livlab.errors import InputError
 from livlab.units import FloatArray
 
@@ -51,7 +51,7 @@ class Roi:
             raise InputError.of("roi", text, "must be four whole numbers x,y,w,h", "Give --roi 0,0,512,512.") from error
         return cls(x, y, width, height)
 
-    def slices(self, page: Page) -> tuple[slice, slice]:
+    def slices(self, page: MicrographPage) -> tuple[slice, slice]:
         """Rows and columns of the page; refused where the rectangle leaves it."""
         height, width = page.channels.shape[:2]
         if self.width < 1 or self.height < 1 or self.x < 0 or self.y < 0:
@@ -145,7 +145,7 @@ def measure_files(paths: Iterable[Path], method: Method) -> Iterator[PageFractio
             yield measure_page(page, method)
 
 
-def measure_page(page: Page, method: Method) -> PageFractions:
+def measure_page(page: MicrographPage, method: Method) -> PageFractions:
     """Area fractions of collagen and elastin on one page (Nunes 2019, eq. 6.4).
 
     Raises
@@ -317,7 +317,7 @@ def mean_matrix(depths: FloatArray, edges: FloatArray) -> FloatArray:
     return np.asarray(np.diff(at_edges, axis=0) / np.diff(edges)[:, None], dtype=np.float64)
 
 
-def _channel(page: Page, channels: NDArray[Any], wanted: str) -> NDArray[Any]:
+def _channel(page: MicrographPage, channels: NDArray[Any], wanted: str) -> NDArray[Any]:
     if wanted.isdecimal():
         if int(wanted) < channels.shape[2]:
             return np.asarray(channels[..., int(wanted)])

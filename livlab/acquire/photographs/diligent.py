@@ -16,8 +16,8 @@ from livlab.acquire.photographs.linearity import response
 from livlab.acquire.photographs.merge import Development, Merged, estimate_noise, merge
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.pose import all_round, sphere_pose
-from livlab.acquire.photographs.read import read_photograph
-from livlab.acquire.photographs.rig import Frames, PhotographedRig
+from livlab.acquire.photographs.read import Photograph, read_photograph
+from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig
 from livlab.acquire.photographs.rig_file import within
 from livlab.brdf.geometry import Camera, Light
 from livlab.errors import InputError
@@ -63,23 +63,7 @@ def load_folder(
         Missing files, counts that differ, directions that are not of unit length, intensities that are not > 0,
         pictures that cannot be read or differ in size.
     """
-    names = _lines(folder / FILENAMES)
-    directions = _numbers(folder / DIRECTIONS, 3)
-    intensities = _numbers(folder / INTENSITIES, None) if (folder / INTENSITIES).is_file() else np.ones((len(names), 1))
-    counts = {FILENAMES: len(names), DIRECTIONS: len(directions), INTENSITIES: len(intensities)}
-    if len(set(counts.values())) > 1:
-        shown = ", ".join(f"{n} in {name}" for name, n in counts.items())
-        raise InputError.of(str(folder.name), shown, "must be one line for each picture", "Mend the files.")
-    lengths = np.linalg.norm(directions, axis=1)
-    for k, length in enumerate(lengths):
-        if not 0.99 < length < 1.01:
-            raise InputError.of(
-                f"{DIRECTIONS}, line {k + 1}", directions[k].tolist(), "must have unit length", "Divide by its length."
-            )
-    for k, row in enumerate(intensities):
-        if not np.all(row > 0):
-            bound = "must be > 0"
-            raise InputError.of(f"{INTENSITIES}, line {k + 1}", row.tolist(), bound, "Drop a light that was off.")
+    names, directions, intensities = _tables(folder)
     first = read_photograph(within(folder, names[0]))
     rows, columns, channels = first.values.shape
     if intensities.shape[1] not in (1, channels):
@@ -95,7 +79,7 @@ def load_folder(
     def develop(k: int) -> Merged:
         return merge([read_photograph(within(folder, names[k]))], [1.0], development)
 
-    frames = Frames(develop, len(names), (rows, columns, channels))
+    frames = DevelopedFrames(develop, len(names), (rows, columns, channels))
     mask = None
     if (folder / MASK).is_file():
         picture = read_photograph(folder / MASK).values.mean(axis=2)
@@ -103,13 +87,8 @@ def load_folder(
         mask = picture > 0.5 * picture.max()
     else:
         pose = sphere_pose(all_round(frames[k].value for k in range(len(names))), camera, radius_mm)
-    turned = directions / lengths[:, None] * TO_CAMERA @ camera.rotation
+    turned = directions / np.linalg.norm(directions, axis=1)[:, None] * TO_CAMERA @ camera.rotation
     lights = tuple(Light(intensity=i, direction=d) for i, d in zip(intensities, turned, strict=True))
-    notes = [*pose.notes]
-    if camera.orthographic:
-        notes.append("The layout tells no camera: it is taken as orthographic, which at 10 radii is off by 10 %.")
-    if first.values.dtype == np.uint8:
-        notes.append("8-bit pictures: steps of 0.4 % of full scale.")
     warnings = []
     if first.linear is False:
         warnings.append(f"{first.name} says that its values are encoded, not linear.")
@@ -127,7 +106,7 @@ def load_folder(
         mask=mask,
         noise_known="estimated" if noise is not None else "unknown",
         files={"pictures": list(names)},
-        notes=tuple(notes),
+        notes=(*pose.notes, *_notes(camera, first)),
         warnings=tuple(warnings),
     )
 
@@ -140,6 +119,37 @@ def channel_names(count: int) -> tuple[str, ...]:
 def tilt_covariance(direction: FloatArray, sd_rad: float) -> FloatArray:
     """(3, 3) covariance of a unit vector that is uncertain by an angle in each of its two tilts."""
     return np.asarray(sd_rad**2 * (np.eye(3) - np.outer(direction, direction)))
+
+
+def _tables(folder: Path) -> tuple[Sequence[str], FloatArray, FloatArray]:
+    """Names (N), directions (N, 3) of nearly unit length and intensities (N, 1 or channels) of a folder's lights."""
+    names = _lines(folder / FILENAMES)
+    directions = _numbers(folder / DIRECTIONS, 3)
+    intensities = _numbers(folder / INTENSITIES, None) if (folder / INTENSITIES).is_file() else np.ones((len(names), 1))
+    counts = {FILENAMES: len(names), DIRECTIONS: len(directions), INTENSITIES: len(intensities)}
+    if len(set(counts.values())) > 1:
+        shown = ", ".join(f"{n} in {name}" for name, n in counts.items())
+        raise InputError.of(str(folder.name), shown, "must be one line for each picture", "Mend the files.")
+    for k, length in enumerate(np.linalg.norm(directions, axis=1)):
+        if not 0.99 < length < 1.01:
+            raise InputError.of(
+                f"{DIRECTIONS}, line {k + 1}", directions[k].tolist(), "must have unit length", "Divide by its length."
+            )
+    for k, row in enumerate(intensities):
+        if not np.all(row > 0):
+            bound = "must be > 0"
+            raise InputError.of(f"{INTENSITIES}, line {k + 1}", row.tolist(), bound, "Drop a light that was off.")
+    return names, directions, intensities
+
+
+def _notes(camera: Camera, first: Photograph) -> list[str]:
+    """What the layout leaves open."""
+    notes = []
+    if camera.orthographic:
+        notes.append("The layout tells no camera: it is taken as orthographic, which at 10 radii is off by 10 %.")
+    if first.values.dtype == np.uint8:
+        notes.append("8-bit pictures: steps of 0.4 % of full scale.")
+    return notes
 
 
 def _lines(path: Path) -> Sequence[str]:

@@ -113,15 +113,9 @@ def error_budget(
     shifts = [
         evaluate(moved(part, camera, _drawn(lights, rig.light_covariances, rng), sphere), points) for _ in range(draws)
     ]
-    add("light direction", {q: float(np.std([s[q] for s in shifts], ddof=1)) for q in base}, f"{draws} draws")
+    add("light direction", _spread(shifts, base), f"{draws} draws")
     told("pose")
-    values, axes = np.linalg.eigh(rig.sphere_covariance)
-    steps = [np.sqrt(v) * a for v, a in zip(values, axes.T, strict=True) if v > 1e-12 * max(values.max(), 1e-300)]
-    deltas = [
-        _half(evaluate, points, [moved(part, camera, lights, _shifted(sphere, sign * x)) for sign in (1, -1)])
-        for x in steps
-    ]
-    add("pose", {q: float(np.sqrt(sum(d[q] ** 2 for d in deltas))) for q in base}, "finite differences")
+    add("pose", _pose(rig, evaluate, part, points, base), "finite differences")
     told("focal length")
     add("focal length", _focal(rig, evaluate, part, points, base), "finite differences")
     told("linearity")
@@ -136,11 +130,7 @@ def error_budget(
         noisy = [evaluate(_noisy(part, rng), points) for _ in range(draws)]
         # A fit to all samples sees less of it than one to a part.
         less = np.sqrt(len(chosen) / total)
-        add(
-            "noise",
-            {q: float(np.std([s[q] for s in noisy], ddof=1) * less) for q in base},
-            f"{draws} draws, {rig.noise_known}",
-        )
+        add("noise", _spread(noisy, base, less), f"{draws} draws, {rig.noise_known}")
     told("footprint")
     finer = evaluate(part, points + 1)
     add("footprint", {q: abs(finer[q] - base[q]) for q in base}, f"{points} against {points + 1} points a side")
@@ -224,6 +214,11 @@ def _half(evaluate: Evaluate, points: int, pair: Sequence[xr.Dataset]) -> dict[s
     return {q: 0.5 * (up[q] - down[q]) for q in up}
 
 
+def _spread(drawn: Sequence[Mapping[str, float]], base: Mapping[str, float], share: float = 1.0) -> dict[str, float]:
+    """Standard deviation of each quantity over the draws, times `share`."""
+    return {q: float(np.std([s[q] for s in drawn], ddof=1) * share) for q in base}
+
+
 def _drawn(lights: Sequence[Light], covariances: Sequence[FloatArray], rng: np.random.Generator) -> list[Light]:
     out = []
     for light, covariance in zip(lights, covariances, strict=True):
@@ -238,6 +233,20 @@ def _drawn(lights: Sequence[Light], covariances: Sequence[FloatArray], rng: np.r
 
 def _shifted(sphere: Sphere, by: FloatArray) -> Sphere:
     return Sphere(sphere.centre_mm + by[:3], sphere.radius_mm + float(by[3]))
+
+
+def _pose(
+    rig: PhotographedRig, evaluate: Evaluate, part: xr.Dataset, points: int, base: Mapping[str, float]
+) -> dict[str, float]:
+    """The sphere moved along each principal axis of the covariance of its centre and radius."""
+    camera, lights, sphere = rig_of(part)
+    values, axes = np.linalg.eigh(rig.sphere_covariance)
+    steps = [np.sqrt(v) * a for v, a in zip(values, axes.T, strict=True) if v > 1e-12 * max(values.max(), 1e-300)]
+    deltas = [
+        _half(evaluate, points, [moved(part, camera, lights, _shifted(sphere, sign * x)) for sign in (1, -1)])
+        for x in steps
+    ]
+    return {q: float(np.sqrt(sum(d[q] ** 2 for d in deltas))) for q in base}
 
 
 def _focal(

@@ -107,10 +107,6 @@ def extract_samples(
         What `livlab.brdf.sphere.extract` refuses, and overexposed pictures.
     """
     stride = _stride(rig, most, max_angle)
-    lattice = np.zeros((rig.camera.height, rig.camera.width), dtype=bool)
-    lattice[::stride, ::stride] = True
-    if rig.mask is not None:
-        lattice &= rig.mask
     extraction = Extraction(
         rig.images,
         rig.camera,
@@ -118,7 +114,7 @@ def extract_samples(
         rig.sphere,
         white=rig.white,
         variance=rig.variance,
-        mask=lattice,
+        mask=_lattice(rig, stride),
         saturation=np.inf,
         max_angle=max_angle,
         grazing_px=grazing_px,
@@ -149,29 +145,30 @@ def extract_samples(
     samples = xr.concat(
         parts, dim="sample", data_vars="minimal", coords="minimal", compat="override", join="override"
     ).assign_attrs(parts[0].attrs, stride=stride, rig=rig.name)
-    every = [light if light.intensity.size > 1 else _spread(light, len(rig.channels)) for light in rig.lights]
-    samples = samples.assign(rig_variables(rig.camera, every, rig.sphere))
-    index = np.full((len(rig.lights), len(_COUNTS) + 1), 0)
-    for k, tally in zip(kept, tallies, strict=True):
-        index[k] = list(tally.values())
-    for n, name in enumerate((*_COUNTS, "clipped")):
-        samples[name] = ("light_index", index[:, n])
+    samples = _described(rig, samples, dict(zip(kept, tallies, strict=True)))
     elsewhere = _elsewhere(rig, look, seen)
     samples = _scaled(rig, samples, " ".join(elsewhere) or "See that the lights were on.")
     matte = None
     if not elsewhere:
         with contextlib.suppress(InputError):  # too little of it is lit
             matte = rig.matte_linearity()
-    # Where the lights are elsewhere, what is taken for a shadow is none.
-    warnings = [*rig.warnings, *(elsewhere or _shadow_warnings(shadows)), *_picture_warnings(rig)]
-    if matte is not None:
-        said = matte.contradiction("linear once decoded")
-        if said and rig.linearity is None:
-            warnings.append(said)
-    return Extracted(samples, stride, tuple(shadows), matte, tuple(_unresolved(rig, shadows)), tuple(warnings))
+    warnings = _warnings(rig, elsewhere, shadows, matte)
+    return Extracted(samples, stride, tuple(shadows), matte, tuple(_unresolved(rig, shadows)), warnings)
 
 
 _COUNTS = ("used", "dropped_not_finite", "dropped_masked", "dropped_saturated")
+
+
+def _described(rig: PhotographedRig, samples: xr.Dataset, tallies: Mapping[int, Mapping[str, int]]) -> xr.Dataset:
+    """The samples with the rig that they were taken with and, by light, what became of its pixels."""
+    every = [light if light.intensity.size > 1 else _spread(light, len(rig.channels)) for light in rig.lights]
+    samples = samples.assign(rig_variables(rig.camera, every, rig.sphere))
+    index = np.full((len(rig.lights), len(_COUNTS) + 1), 0)
+    for k, tally in tallies.items():
+        index[k] = list(tally.values())
+    for n, name in enumerate((*_COUNTS, "clipped")):
+        samples[name] = ("light_index", index[:, n])
+    return samples
 
 
 def _spread(light: Any, count: int) -> Any:
@@ -218,6 +215,15 @@ def _stride(rig: PhotographedRig, most: int, max_angle: float) -> int:
     area = float(np.prod(np.ptp(curve, axis=0))) * np.pi / 4
     share = area * np.sin(max_angle) ** 2 / max(len(rows), 1)
     return max(int(np.ceil(np.sqrt(lit * share / most))), 1)
+
+
+def _lattice(rig: PhotographedRig, stride: int) -> NDArray[np.bool_]:
+    """(rows, columns) True at every `stride`-th usable pixel."""
+    lattice = np.zeros((rig.camera.height, rig.camera.width), dtype=bool)
+    lattice[::stride, ::stride] = True
+    if rig.mask is not None:
+        lattice &= rig.mask
+    return lattice
 
 
 def _check_clipped(rig: PhotographedRig, k: int, part: xr.Dataset, most: float) -> int:
@@ -293,6 +299,18 @@ def _shadow_warnings(shadows: list[Shadow | None]) -> list[str]:
         side = names[axis][0 if slope[axis] > 0 else 1]
         return [f"{text}, and brighter towards {side}: light returned by what stands there (interreflection)."]
     return [f"{text}, evenly: stray light in the lens, a dark offset, or light from all round."]
+
+
+def _warnings(
+    rig: PhotographedRig, elsewhere: list[str], shadows: list[Shadow | None], matte: Linearity | None
+) -> tuple[str, ...]:
+    """What is likely wrong with the rig, its pictures and its lights."""
+    # Where the lights are elsewhere, what is taken for a shadow is none.
+    warnings = [*rig.warnings, *(elsewhere or _shadow_warnings(shadows)), *_picture_warnings(rig)]
+    said = matte.contradiction("linear once decoded") if matte is not None else ""
+    if said and rig.linearity is None:
+        warnings.append(said)
+    return tuple(warnings)
 
 
 def _picture_warnings(rig: PhotographedRig) -> list[str]:

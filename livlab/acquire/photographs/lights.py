@@ -130,7 +130,17 @@ def mirror_highlight(
             name, f"highlight at ({u:.1f}, {v:.1f}) px", "lies too near the limb of the ball", "Turn camera or light."
         )
     covariance, stretch = _covariance(camera, pose, u, v, sd)
-    return Highlight(direction, origin, covariance, (u, v), sd, float(area), area * stretch, at_top, tuple(notes))
+    return Highlight(
+        direction,
+        origin,
+        covariance,
+        pixel=(u, v),
+        pixel_sd=sd,
+        area_px=float(area),
+        solid_angle_sr=area * stretch,
+        saturated=at_top,
+        notes=tuple(notes),
+    )
 
 
 _SEE = "See that the light was on and the ball is the mirror, and give its outline or mask."

@@ -34,7 +34,7 @@ _EXPONENTS = (0.3, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class CameraResponse:
     """How stored values (0 to 1) stand for linear ones, as a table over equally spaced stored values.
 
     Attributes
@@ -87,7 +87,7 @@ class Response:
         return out
 
 
-def response(kind: str, *, gamma: float | None = None, table: ArrayLike | None = None) -> Response:
+def response(kind: str, *, gamma: float | None = None, table: ArrayLike | None = None) -> CameraResponse:
     """A declared response: "linear", "srgb" (IEC 61966-2-1), "gamma" (linear = stored^gamma) or "table".
 
     >>> float(response("srgb").decode(np.array([[0.5]]))[0, 0])  # doctest: +ELLIPSIS
@@ -100,20 +100,20 @@ def response(kind: str, *, gamma: float | None = None, table: ArrayLike | None =
     """
     x = np.linspace(0, 1, 4096)
     if kind == "linear":
-        return Response("linear")
+        return CameraResponse("linear")
     if kind == "srgb":
-        return Response("srgb", np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4))
+        return CameraResponse("srgb", np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4))
     if kind == "gamma":
         if gamma is None or not 0.1 <= gamma <= 10:
             raise InputError.of("response.gamma", gamma, "must lie between 0.1 and 10", "Give linear = stored^gamma.")
-        return Response(f"gamma {gamma:g}", x**gamma)
+        return CameraResponse(f"gamma {gamma:g}", x**gamma)
     if kind == "table" and table is not None:
         values = np.asarray(table, dtype=np.float64)
-        return Response("table", values / values[-1])
+        return CameraResponse("table", values / values[-1])
     raise InputError.of("response.kind", kind, "must be linear, srgb, gamma, table or debevec", "Declare one of these.")
 
 
-def debevec(frames: Sequence[NDArray[np.uint8]], exposures: Sequence[float]) -> Response:
+def debevec(frames: Sequence[NDArray[np.uint8]], exposures: Sequence[float]) -> CameraResponse:
     """Response from an exposure stack (Debevec & Malik 1997, by OpenCV), as a table of 256 values a channel.
 
     Parameters
@@ -140,7 +140,7 @@ def debevec(frames: Sequence[NDArray[np.uint8]], exposures: Sequence[float]) -> 
     table = np.asarray(found, dtype=np.float64).reshape(256, 3)[:, : frames[0].shape[2]]
     # The ends, with weight 0, are extrapolated by it and may turn back: they are held monotone.
     table = np.maximum.accumulate(np.where(np.isfinite(table), table, 0.0), axis=0)
-    return Response("debevec", (table - table[0]) / (table[-1] - table[0]))
+    return CameraResponse("debevec", (table - table[0]) / (table[-1] - table[0]))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.acquire.photographs.calibration_chart import ColourCalibration
-from livlab.acquire.photographs.linearity import Response
+from livlab.acquire.photographs.linearity import CameraResponse
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.read import Photograph
 from livlab.brdf.sphere import Noise
@@ -48,7 +48,7 @@ class Development:
         Full scale of floating-point files: the value that counts as 1.
     """
 
-    response: Response
+    response: CameraResponse
     noise: Noise | None = None
     dark: tuple[tuple[float, Float32Array], ...] = ()
     flat: Float32Array | None = None

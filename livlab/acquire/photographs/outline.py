@@ -142,7 +142,14 @@ def _round_things(scaled: FloatArray, scale: float, most: int) -> list[tuple[flo
     found = _blobs(eight, smallest)
     for threshold in (40, 20):
         circles = cv2.HoughCircles(
-            eight, cv2.HOUGH_GRADIENT, 1, 8, None, 120, threshold, int(max(4, smallest)), int(largest)
+            eight,
+            method=cv2.HOUGH_GRADIENT,
+            dp=1,
+            minDist=8,
+            param1=120,
+            param2=threshold,
+            minRadius=int(max(4, smallest)),
+            maxRadius=int(largest),
         )
         if circles is not None:
             for circle in circles.reshape(-1, circles.shape[-1])[:most]:

@@ -196,7 +196,6 @@ def _pose(
     steps = np.array([1e-6, 1e-6, 1e-6, 1e-6 * max(at[3], 1e-9)])
     jacobian = np.column_stack([(place(x0 + h) - place(x0 - h)) / (2 * h.sum()) for h in np.diag(steps)])
     covariance = jacobian @ full @ jacobian.T
-    notes = []
     if camera.orthographic and radius_mm is not None and abs(at[3] / radius_mm - 1) > 0.02:
         raise InputError.of(
             "radius_mm",
@@ -204,18 +203,6 @@ def _pose(
             f"the picture shows {at[3]:.4g} mm under this orthographic camera",
             "mend the scale of the camera (mm per pixel) or the radius",
         )
-    if kind != "single" and shaded > 0.15:
-        notes.append(
-            f"The limb is dark along {shaded:.0%} of the outline, as the lights stand beside the camera: centre and "
-            f"radius may be off by {centre_sys} and {radius_sys} px; add lights from the sides, or a silhouette."
-        )
-    if kind == "single":
-        notes.append(
-            f"A single light shades the limb: centre and radius may be off by {centre_sys} and {radius_sys} px; "
-            "a frame lit all round or from behind is better."
-        )
-    if best.support < 0.6:
-        notes.append(f"Only {best.support:.0%} of the outline could be used.")
     sd = np.sqrt(np.diag(three)) / rad_per_px
     return SpherePose(
         sphere=Sphere(centre_mm=at[:3], radius_mm=float(at[3])),
@@ -228,8 +215,27 @@ def _pose(
         points=best.points[cone.used],
         outline=cone_outline(camera, cone.axis, cone.half_angle, 360)[0],
         kind=kind,
-        notes=tuple(notes),
+        notes=_notes(kind, shaded, best.support, (centre_sys, radius_sys)),
     )
+
+
+def _notes(kind: Kind, shaded: float, support: float, systematic_px: tuple[float, float]) -> tuple[str, ...]:
+    """What the outline leaves in doubt."""
+    notes = []
+    centre, radius = systematic_px
+    if kind != "single" and shaded > 0.15:
+        notes.append(
+            f"The limb is dark along {shaded:.0%} of the outline, as the lights stand beside the camera: centre and "
+            f"radius may be off by {centre} and {radius} px; add lights from the sides, or a silhouette."
+        )
+    if kind == "single":
+        notes.append(
+            f"A single light shades the limb: centre and radius may be off by {centre} and {radius} px; "
+            "a frame lit all round or from behind is better."
+        )
+    if support < 0.6:
+        notes.append(f"Only {support:.0%} of the outline could be used.")
+    return tuple(notes)
 
 
 def _place(camera: Camera, axis: FloatArray, half_angle: float, radius_mm: float, depth_mm: float | None) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ BESIDE = float(np.deg2rad(25.0))
 """From the camera: a light nearer than that stands beside it."""
 
 
-class Frames:
+class DevelopedFrames:
     """Developed pictures by light; the last one is kept, so that value and variance are developed once.
 
     Parameters
@@ -70,7 +69,7 @@ class Frames:
 class _Lazy(BackendArray):
     """Values or variances of all lights as one array that is read when it is indexed."""
 
-    def __init__(self, frames: Frames, name: str) -> None:
+    def __init__(self, frames: DevelopedFrames, name: str) -> None:
         self.frames, self.name = frames, name
         self.shape = (frames.count, *frames.shape)
         self.dtype = np.dtype(np.float32)
@@ -86,7 +85,7 @@ class _Lazy(BackendArray):
         return np.asarray(getattr(self.frames[int(first)], self.name)[rest])
 
 
-def lazy_images(frames: Frames, name: str, channels: Sequence[str]) -> xr.DataArray:
+def lazy_images(frames: DevelopedFrames, name: str, channels: Sequence[str]) -> xr.DataArray:
     """(light, row, column, channel) values ("value") or variances ("variance") that are developed when read."""
     variable = xr.Variable(
         ("light", "row", "column", "channel"), indexing.LazilyIndexedArray(_Lazy(frames, name)), fastpath=True
@@ -141,7 +140,7 @@ class PhotographedRig:
     """
 
     name: str
-    frames: Frames
+    frames: DevelopedFrames
     channels: tuple[str, ...]
     camera: Camera
     lights: tuple[Light, ...]
@@ -248,29 +247,3 @@ def with_matte_intensities(rig: PhotographedRig, *, pixels: int = 20_000) -> Pho
     )
     told = f"Light intensities were taken from the sphere, as if it were matte: +- {float((error / found).max()):.1%}."
     return replace(rig, lights=lights, notes=(*rig.notes, told))
-
-
-def open_rig(path: Path) -> PhotographedRig:
-    """Photographs named by a `rig.toml`, by a folder that holds one, or by a folder in DiLiGenT's layout.
-
-    Raises
-    ------
-    InputError
-        Nothing of these, or what the loaders refuse.
-    """
-    from livlab.acquire.photographs.diligent import FILENAMES, load_folder
-    from livlab.acquire.photographs.rig_file import NAME
-    from livlab.acquire.photographs.rig_load import load_rig
-
-    if path.is_file():
-        return load_rig(path)
-    if (path / NAME).is_file():
-        return load_rig(path / NAME)
-    if (path / FILENAMES).is_file():
-        return load_folder(path)
-    raise InputError.of(
-        "rig",
-        str(path),
-        f"is no rig file and holds neither {NAME} nor {FILENAMES}",
-        f"Name a {NAME}, or a folder in DiLiGenT's layout.",
-    )

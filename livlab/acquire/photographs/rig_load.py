@@ -15,12 +15,12 @@ from livlab.acquire.photographs.calibration import Board, CameraCalibration, cal
 from livlab.acquire.photographs.calibration_chart import ColourCalibration, calibrate_colour
 from livlab.acquire.photographs.diligent import TO_CAMERA, channel_names, tilt_covariance
 from livlab.acquire.photographs.lights import Highlight, distant_direction, mirror_highlight, near_position
-from livlab.acquire.photographs.linearity import Linearity, Response, debevec, from_exposures, response
+from livlab.acquire.photographs.linearity import CameraResponse, Linearity, debevec, from_exposures, response
 from livlab.acquire.photographs.merge import Development, Merged, coloured, estimate_noise, flat_field, merge
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.pose import SpherePose, all_round, sphere_pose
 from livlab.acquire.photographs.read import Photograph, eight_bit, read_photograph
-from livlab.acquire.photographs.rig import Frames, PhotographedRig, with_matte_intensities
+from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig, with_matte_intensities
 from livlab.acquire.photographs.rig_file import (
     FrameTable,
     LightTable,
@@ -79,7 +79,7 @@ class _Loader:
             merged = self._without_stray(merge(pictures, exposures[k], development))
             return coloured(merged, colour, grey=grey)
 
-        frames = Frames(develop, len(rig.light), (rows, columns, count))
+        frames = DevelopedFrames(develop, len(rig.light), (rows, columns, count))
         camera, calibration = self._camera(columns, rows)
         pose, sphere, covariance = self._sphere(frames, camera, development)
         lights, light_covariances, highlights = self._lights(camera, sphere, development, count)
@@ -174,7 +174,7 @@ class _Loader:
                 "light.exposures", "given for some lights", "must be given for all, or for none", "Mend the rig file."
             )
 
-    def _response(self, table: ResponseTable) -> tuple[Response, Linearity | None]:
+    def _response(self, table: ResponseTable) -> tuple[CameraResponse, Linearity | None]:
         values = None
         if table.table is not None:
             try:
@@ -210,7 +210,7 @@ class _Loader:
             self.warnings.append(warning)
         return answer, found
 
-    def _development(self, answer: Response, first: Photograph, exposure: float) -> Development:
+    def _development(self, answer: CameraResponse, first: Photograph, exposure: float) -> Development:
         rig = self.rig
         development = Development(answer, saturation=rig.response.saturation, float_scale=rig.response.full_scale)
         dark = [(table.exposure, self._read(table.image)) for table in rig.dark]
@@ -278,7 +278,7 @@ class _Loader:
         return value
 
     def _sphere(
-        self, frames: Frames, camera: Camera, development: Development
+        self, frames: DevelopedFrames, camera: Camera, development: Development
     ) -> tuple[SpherePose | None, Sphere, FloatArray]:
         table = self.rig.sphere
         frame: NDArray[np.floating]

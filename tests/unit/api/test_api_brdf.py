@@ -13,7 +13,7 @@ from test_photographs_read import deep_png
 
 import livlab
 from livlab.acquire.photographs.extract import extract_samples
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.brdf.sphere import extract
 from livlab.errors import InputError
 

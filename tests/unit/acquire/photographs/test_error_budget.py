@@ -10,7 +10,7 @@ from livlab.acquire.photographs.diligent import tilt_covariance
 from livlab.acquire.photographs.error_budget import SOURCES, error_budget, fitted, moved
 from livlab.acquire.photographs.extract import extract_samples
 from livlab.acquire.photographs.merge import Merged
-from livlab.acquire.photographs.rig import Frames, PhotographedRig
+from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig
 from livlab.brdf.geometry import Sphere
 from livlab.errors import InputError
 
@@ -30,7 +30,7 @@ def rig_of(images, cam, sphere, lights, **more):
     } | more
     return PhotographedRig(
         name="test",
-        frames=Frames(develop, len(lights), (*images[0].shape, 1)),
+        frames=DevelopedFrames(develop, len(lights), (*images[0].shape, 1)),
         channels=("grey",),
         camera=cam,
         lights=tuple(lights),

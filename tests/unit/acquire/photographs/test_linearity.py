@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from livlab.acquire.photographs.linearity import Response, debevec, from_exposures, from_matte_sphere, response
+from livlab.acquire.photographs.linearity import CameraResponse, debevec, from_exposures, from_matte_sphere, response
 from livlab.errors import InputError
 
 RNG = np.random.default_rng(11)
@@ -69,7 +69,7 @@ def test_wrong_responses_are_refused(arguments, said):
 
 def test_a_flat_table_is_refused():
     with pytest.raises(InputError, match="must rise"):
-        Response("table", np.zeros(5))
+        CameraResponse("table", np.zeros(5))
 
 
 def test_a_stack_says_linear_of_a_linear_camera():

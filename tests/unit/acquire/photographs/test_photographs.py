@@ -9,7 +9,7 @@ from PIL import Image
 from synthetic_camera import Faults, camera, lambert, render, ring, sphere_for
 
 from livlab.acquire.photographs.extract import extract_samples
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.errors import InputError
 
 RADIUS_PX = 40.0

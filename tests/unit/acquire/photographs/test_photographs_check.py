@@ -10,7 +10,7 @@ from PIL import Image
 from synthetic_camera import blinn_phong, camera, lambert, render, ring, sphere_for
 
 from livlab.acquire.photographs.extract import extract_samples
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.errors import ConfigError, InputError
 
 ALBEDO = 0.6

@@ -8,7 +8,7 @@ from test_photographs_read import deep_png
 
 from livlab.acquire.photographs.diligent import load_folder
 from livlab.acquire.photographs.extract import extract_samples
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.errors import InputError
 
 INTENSITIES = np.array([[1.0, 0.9, 0.8], [1.4, 1.5, 1.6], [0.7, 0.7, 0.7], [1.1, 1.0, 0.9]])

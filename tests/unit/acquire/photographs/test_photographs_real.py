@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from livlab.acquire.photographs.extract import extract_samples
+from livlab.acquire.photographs.open import open_rig
 from livlab.acquire.photographs.pose import sphere_pose
 from livlab.acquire.photographs.read import read_photograph
-from livlab.acquire.photographs.rig import open_rig
 from livlab.brdf.geometry import Camera
 
 PHOTOS = Path(__file__).resolve().parents[5] / "shared" / "photos"

@@ -10,7 +10,7 @@ from test_lights import mirror
 from test_photographs_read import deep_png
 
 from livlab.acquire.photographs.extract import extract_samples
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.brdf.geometry import Light
 from livlab.errors import InputError
 

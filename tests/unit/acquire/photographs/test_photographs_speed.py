@@ -14,7 +14,7 @@ COUNT = 96
 WORK = """
 import resource, sys, time
 from pathlib import Path
-from livlab.acquire.photographs.rig import open_rig
+from livlab.acquire.photographs.open import open_rig
 from livlab.acquire.photographs.extract import extract_samples
 from livlab.brdf.fit.fit import fit
 found = extract_samples(open_rig(Path(sys.argv[1])))
