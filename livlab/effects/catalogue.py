@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from livlab.effects import reduce
-from livlab.effects.scene import Group, Scene, groups, sideways_endless, sideways_finite
+from livlab.effects.scene import LayerGroup, OpticalScene, groups, sideways_endless, sideways_finite
 from livlab.model.tissue.elements import Blood
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -50,11 +50,11 @@ class Effect:
     cost: str
     where: Where
     stage: int
-    drop: Callable[[Scene], Scene] | None
+    drop: Callable[[OpticalScene], OpticalScene] | None
     absorbs_only: int = 0
 
 
-def catalogue(scene: Scene, tissue: Tissue | None = None, reading: Reading | None = None) -> tuple[Effect, ...]:
+def catalogue(scene: OpticalScene, tissue: Tissue | None = None, reading: Reading | None = None) -> tuple[Effect, ...]:
     """The effects of a scene, in the order in which they are left out.
 
     Parameters
@@ -89,7 +89,7 @@ def catalogue(scene: Scene, tissue: Tissue | None = None, reading: Reading | Non
     return _named(sorted(made, key=lambda e: e.stage))
 
 
-def _on_stack(change: Callable[[OpticalStack], OpticalStack]) -> Callable[[Scene], Scene]:
+def _on_stack(change: Callable[[OpticalStack], OpticalStack]) -> Callable[[OpticalScene], OpticalScene]:
     return lambda scene: replace(scene, stack=change(scene.stack))
 
 
@@ -122,7 +122,7 @@ def _packaging(stack: OpticalStack, tissue: Tissue, reading: Reading) -> Iterato
         yield _plane("packaging", "blood packed in vessels, not spread evenly", cost, 0, change, +1)
 
 
-def _scattering(stack: OpticalStack, group: Group) -> Iterator[Effect]:
+def _scattering(stack: OpticalStack, group: LayerGroup) -> Iterator[Effect]:
     parts = _scatterers(stack, group)
     if parts:
         change = partial(reduce.without_scattering, layers=group.names)
@@ -130,7 +130,7 @@ def _scattering(stack: OpticalStack, group: Group) -> Iterator[Effect]:
         yield _plane(f"{group.name}-scattering", what, "a meeting at every free path", 1, change)
 
 
-def _elements(stack: OpticalStack, found: tuple[Group, ...]) -> Iterator[Effect]:
+def _elements(stack: OpticalStack, found: tuple[LayerGroup, ...]) -> Iterator[Effect]:
     every = frozenset(x.name for x in stack.layers) | {g.name for g in found}
     for name in dict.fromkeys(i.name for x in stack.layers for i in x.interactions if i.rate.any()):
         holders = [g for g in found if name in _all(stack, g)]
@@ -146,7 +146,7 @@ def _elements(stack: OpticalStack, found: tuple[Group, ...]) -> Iterator[Effect]
         yield _plane(name, what, cost, 2, change, 0 if scatters else -1)
 
 
-def _layers(stack: OpticalStack, group: Group, *, alone: bool) -> Iterator[Effect]:
+def _layers(stack: OpticalStack, group: LayerGroup, *, alone: bool) -> Iterator[Effect]:
     cost = "its meetings, its interfaces, and its coefficients in every step"
     if not alone:
         change = partial(reduce.without_layers, names=group.names)
@@ -162,7 +162,7 @@ def _layers(stack: OpticalStack, group: Group, *, alone: bool) -> Iterator[Effec
             yield _plane(f"{group.name}-sublayers", what, "interfaces crossed, coefficients in every step", 4, merge)
 
 
-def _phases(stack: OpticalStack, group: Group) -> Iterator[Effect]:
+def _phases(stack: OpticalStack, group: LayerGroup) -> Iterator[Effect]:
     parts = [i for x in stack.layers if x.name in group.members for i in x.interactions if reduce.plain_scatterer(i)]
     phases = {id(p): p for i in parts for p in i.phases}
     g = max((p.anisotropy for p in phases.values()), default=0.0)
@@ -179,7 +179,7 @@ def _phases(stack: OpticalStack, group: Group) -> Iterator[Effect]:
     yield _plane(f"{group.name}-anisotropy", what, cost, 6, similar)
 
 
-def _indices(stack: OpticalStack, found: tuple[Group, ...]) -> Iterator[Effect]:
+def _indices(stack: OpticalStack, found: tuple[LayerGroup, ...]) -> Iterator[Effect]:
     every = (stack.n_above, *(x.n for x in stack.layers), stack.n_below)
     if any(np.ptp(n) > 0 for n in every):
         cost = "a walk of its own for every wavelength, where a ledger is kept"
@@ -205,7 +205,7 @@ def _indices(stack: OpticalStack, found: tuple[Group, ...]) -> Iterator[Effect]:
         yield _plane("surface-fresnel", what, cost, 9, reduce.matched_surface)
 
 
-def _ends(scene: Scene) -> Iterator[Effect]:
+def _ends(scene: OpticalScene) -> Iterator[Effect]:
     if not np.isinf(scene.stack.layers[-1].thickness_mm):
         what = "an end below: light that leaves there, or is sent back"
         yield _plane("transmission", what, "nothing: it ends photons", 10, reduce.endless)
@@ -220,11 +220,11 @@ def _ends(scene: Scene) -> Iterator[Effect]:
         )
 
 
-def _all(stack: OpticalStack, group: Group) -> list[str]:
+def _all(stack: OpticalStack, group: LayerGroup) -> list[str]:
     return [i.name for x in stack.layers if x.name in group.members for i in x.interactions if i.rate.any()]
 
 
-def _scatterers(stack: OpticalStack, group: Group) -> list[str]:
+def _scatterers(stack: OpticalStack, group: LayerGroup) -> list[str]:
     parts = [i for x in stack.layers if x.name in group.members for i in x.interactions]
     return list(dict.fromkeys(i.name for i in parts if (i.rate * i.albedo).any()))
 

@@ -16,7 +16,7 @@ import numpy as np
 from livlab.acquire.instruments.models import FibreProbe
 from livlab.acquire.instruments.readout import readout
 from livlab.effects.reduce import more_absorbing
-from livlab.effects.scene import Scene
+from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.adding_doubling import adding_doubling
@@ -65,7 +65,7 @@ def mean_steps(stack: OpticalStack, mu0: float) -> FloatArray:
     return np.asarray(np.minimum(steps / np.maximum(entered, TRACE), MOST_STEPS))
 
 
-def predicted_cost(scene: Scene, *, literal: bool = False) -> float:
+def predicted_cost(scene: OpticalScene, *, literal: bool = False) -> float:
     """Cost of a photon, mean over the wavelengths, in plain steps.
 
     Parameters

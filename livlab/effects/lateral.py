@@ -25,7 +25,7 @@ from livlab.acquire.instruments.models import Collinear, Instrument, Integrating
 from livlab.acquire.instruments.readout import Readout, readout
 from livlab.effects.plane import PlaneValue, plane_value
 from livlab.effects.reduce import more_absorbing
-from livlab.effects.scene import Scene, sideways_finite
+from livlab.effects.scene import OpticalScene, sideways_finite
 from livlab.model.tissue.stack import OpticalStack, PlaneLayer
 from livlab.model.transport.fresnel import fresnel
 from livlab.units import FloatArray
@@ -74,7 +74,7 @@ def edges(instrument: Instrument) -> tuple[Edge, ...]:
     return ()
 
 
-def missed(scene: Scene, value: PlaneValue, enough: float = 0.0) -> FloatArray:
+def missed(scene: OpticalScene, value: PlaneValue, enough: float = 0.0) -> FloatArray:
     """(W,) upper bound of what the reading loses sideways; 0 for endless samples.
 
     Parameters
@@ -103,7 +103,7 @@ def missed(scene: Scene, value: PlaneValue, enough: float = 0.0) -> FloatArray:
     return np.asarray(least)
 
 
-def _weighted_length(scene: Scene, value: PlaneValue, distance_mm: float) -> FloatArray:
+def _weighted_length(scene: OpticalScene, value: PlaneValue, distance_mm: float) -> FloatArray:
     """E[w L] in mm from above: the derivative by two steps, with what the steps and the solver leave open."""
     step = 0.02 / distance_mm
     slopes, errors = [], []

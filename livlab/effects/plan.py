@@ -21,7 +21,7 @@ from livlab.effects.config import Force, forced_effects
 from livlab.effects.cost import predicted_cost
 from livlab.effects.lateral import missed
 from livlab.effects.plane import PlaneValue, plane_value, unseen, without_short_paths
-from livlab.effects.scene import Scene, sideways_finite
+from livlab.effects.scene import OpticalScene, sideways_finite
 from livlab.errors import InputError
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -43,7 +43,7 @@ Dropped = frozenset[str]
 
 
 @dataclass(frozen=True)
-class Row:
+class PlanRow:
     """One effect in a plan.
 
     Attributes
@@ -85,10 +85,10 @@ class Plan:
         Of all of them together.
     """
 
-    scene: Scene
-    reduced: Scene
+    scene: OpticalScene
+    reduced: OpticalScene
     effects: tuple[Effect, ...] = field(repr=False)
-    rows: tuple[Row, ...]
+    rows: tuple[PlanRow, ...]
     tolerance: float
     bound: float
     predicted_saving: float
@@ -143,7 +143,7 @@ class Plan:
         return pd.DataFrame(self.records(), columns=list(COLUMNS)).astype(numbers)
 
 
-def without(scene: Scene, effects: tuple[Effect, ...], dropped: Dropped) -> Scene:
+def without(scene: OpticalScene, effects: tuple[Effect, ...], dropped: Dropped) -> OpticalScene:
     """The scene with some effects left out, in the catalogue's order."""
     for e in effects:
         if e.name in dropped and e.drop is not None:
@@ -154,7 +154,7 @@ def without(scene: Scene, effects: tuple[Effect, ...], dropped: Dropped) -> Scen
 class Bounds:
     """Bounds of groups of effects in one scene; what was worked out once is kept."""
 
-    def __init__(self, scene: Scene, effects: tuple[Effect, ...], *, literal: bool = False) -> None:
+    def __init__(self, scene: OpticalScene, effects: tuple[Effect, ...], *, literal: bool = False) -> None:
         self.scene, self.effects, self.literal = scene, effects, literal
         self.reason = unseen(scene)
         self.tolerance = 0.0
@@ -164,7 +164,7 @@ class Bounds:
         self._short: dict[Dropped, FloatArray] = {}
         self._costs: dict[Dropped, float] = {}
 
-    def reduced(self, dropped: Dropped) -> Scene:
+    def reduced(self, dropped: Dropped) -> OpticalScene:
         """The scene without a group."""
         return without(self.scene, self.effects, dropped)
 
@@ -290,7 +290,7 @@ def plan(
     """
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError.of("tolerance", tolerance, "must be finite and > 0", "Give how far the value may move.")
-    scene = Scene(stack, instrument)
+    scene = OpticalScene(stack, instrument)
     effects = catalogue(scene, tissue, reading)
     rules = forced_effects([e.name for e in effects], forced or {})
     bounds = Bounds(scene, effects, literal=literal)
@@ -331,9 +331,11 @@ def _greedy(bounds: Bounds, order: list[str], off: Dropped, tolerance: float) ->
     return group
 
 
-def _row(e: Effect, bounds: Bounds, rules: Mapping[str, Force], chosen: Dropped, tolerance: float, mode: str) -> Row:
+def _row(
+    e: Effect, bounds: Bounds, rules: Mapping[str, Force], chosen: Dropped, tolerance: float, mode: str
+) -> PlanRow:
     if e.drop is None:
-        return Row(e.name, e.what, math.nan, "not applicable", math.nan, "tracer only")
+        return PlanRow(e.name, e.what, math.nan, "not applicable", math.nan, "tracer only")
     one = frozenset({e.name})
     bound, saving = bounds.worst(one), bounds.saving(one)
     fits = bound <= tolerance
@@ -357,4 +359,4 @@ def _row(e: Effect, bounds: Bounds, rules: Mapping[str, Force], chosen: Dropped,
             why = "saves nothing beside the dropped"
         else:
             why = "too much with the dropped"
-    return Row(e.name, e.what, bound, decision, saving, why)
+    return PlanRow(e.name, e.what, bound, decision, saving, why)

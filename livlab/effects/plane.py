@@ -9,7 +9,7 @@ import numpy as np
 
 from livlab.acquire.instruments.models import FibreProbe, Instrument
 from livlab.acquire.instruments.readout import readout
-from livlab.effects.scene import Scene
+from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.phase.functions import Isotropic
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.adding_doubling import adding_doubling, exit_flux
@@ -90,7 +90,7 @@ def widest_change(full: OpticalStack, reduced: OpticalStack) -> float:
     return worst
 
 
-def unseen(scene: Scene) -> str:
+def unseen(scene: OpticalScene) -> str:
     """Why adding–doubling cannot tell what an effect of the scene changes; empty if it can."""
     if isinstance(scene.instrument, FibreProbe):
         return "the deterministic solver knows no distance between fibres"

@@ -12,7 +12,7 @@ from livlab.model.tissue.stack import OpticalStack, PlaneLayer
 
 
 @dataclass(frozen=True)
-class Scene:
+class OpticalScene:
     """An optical stack under an instrument."""
 
     stack: OpticalStack
@@ -20,7 +20,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Group:
+class LayerGroup:
     """A layer of the tissue: one plane layer, or sublayers "NAME 1", "NAME 2", ….
 
     Attributes
@@ -40,7 +40,7 @@ class Group:
         return frozenset((self.name, *self.members))
 
 
-def groups(layers: Sequence[PlaneLayer]) -> tuple[Group, ...]:
+def groups(layers: Sequence[PlaneLayer]) -> tuple[LayerGroup, ...]:
     """Layers with their sublayers, numbered from 1, gathered.
 
     >>> import numpy as np
@@ -48,18 +48,18 @@ def groups(layers: Sequence[PlaneLayer]) -> tuple[Group, ...]:
     >>> [g.name for g in groups([PlaneLayer(n, 1.0, one) for n in ("skin 1", "skin 2", "fat")])]
     ['skin', 'fat']
     """
-    made: list[Group] = []
+    made: list[LayerGroup] = []
     before = ""
     for x in layers:
         found = re.fullmatch(r"(.+) (\d+)", x.name)
         stem, number = (found[1], int(found[2])) if found else (x.name, 0)
         if number > 1 and made and made[-1].name == stem and len(made[-1].members) == number - 1:
-            made[-1] = Group(stem, (*made[-1].members, x.name))
+            made[-1] = LayerGroup(stem, (*made[-1].members, x.name))
         else:
-            made.append(Group(stem if number == 1 and stem != before else x.name, (x.name,)))
+            made.append(LayerGroup(stem if number == 1 and stem != before else x.name, (x.name,)))
         before = stem
     # A single "NAME 1" without a "NAME 2" is no sublayer.
-    return tuple(Group(g.members[0], g.members) if len(g.members) == 1 else g for g in made)
+    return tuple(LayerGroup(g.members[0], g.members) if len(g.members) == 1 else g for g in made)
 
 
 def sideways_finite(instrument: Instrument) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from livlab.acquire.instruments.models import WalkSolver
 from livlab.acquire.instruments.spectrometer import Variant, measure
 from livlab.effects.plan import Plan, without
-from livlab.effects.scene import Scene
+from livlab.effects.scene import OpticalScene
 from livlab.errors import InputError
 
 PILOT = 20_000
@@ -75,7 +75,13 @@ def measured(plan: Plan, *, seconds: float = 1.0, pairs: int = 3, seed: int = 0,
 
 
 def time_pair(
-    full: Scene, reduced: Scene, *, seconds: float = 1.0, pairs: int = 3, seed: int = 0, variant: Variant = "llvm"
+    full: OpticalScene,
+    reduced: OpticalScene,
+    *,
+    seconds: float = 1.0,
+    pairs: int = 3,
+    seed: int = 0,
+    variant: Variant = "llvm",
 ) -> Saving:
     """Time two scenes in turn; arguments and errors as `measured`.
 
@@ -108,7 +114,7 @@ def time_pair(
     return Saving(1.0 - float(ratio.mean()), spread, float(full_ns), float(reduced_ns))
 
 
-def _walk(scene: Scene, samples: int, seed: int, variant: Variant) -> tuple[float, float]:
+def _walk(scene: OpticalScene, samples: int, seed: int, variant: Variant) -> tuple[float, float]:
     """Seconds, and the squared standard error of the value, mean over the wavelengths."""
     clock = time.process_time if variant == "llvm" else time.perf_counter
     solver = WalkSolver(samples=samples, pilot=samples, largest_launch=10**9, seed=seed)

@@ -16,7 +16,7 @@ from livlab.acquire.instruments.readout import readout
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.effects import plan as planning
 from livlab.effects.plan import Bounds, plan
-from livlab.effects.scene import Scene
+from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.readings import reading
@@ -221,7 +221,7 @@ def layered(g=0.95):
 def test_a_planner_that_does_not_verify_groups_fails_the_check(monkeypatch):
     stack, camera = layered(), HyperspectralCamera()
     names = [f"layer-{k}-small-angles-90" for k in range(3)]
-    singles = Bounds(Scene(stack, camera), planning.catalogue(Scene(stack, camera)))
+    singles = Bounds(OpticalScene(stack, camera), planning.catalogue(OpticalScene(stack, camera)))
     tolerance = 1.05 * max(singles.worst(frozenset({n})) for n in names)
 
     def moved(made):
@@ -250,7 +250,7 @@ def test_what_walks_lose_sideways_is_below_its_bound(libllvm, side_mm, beam):
     for stack in (plain_stack([(1.4, 0.5, 20.0, 50.0, HenyeyGreenstein(0.9))]), layered(0.8)):
         instrument = Collinear(sample_side_mm=side_mm, beam=beam, acceptance_deg=90.0)
         value = plane_value(stack, instrument)
-        bound = float(missed(Scene(stack, instrument), value)[0])
+        bound = float(missed(OpticalScene(stack, instrument), value)[0])
         finite = measure(stack, instrument, WalkSolver(samples=300_000, seed=3))
         gone = float(value.fine[0] - finite.value[0])
         error = float(finite.standard_error[0])

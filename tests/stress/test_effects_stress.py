@@ -11,7 +11,7 @@ from livlab.effects.lateral import missed
 from livlab.effects.plan import plan
 from livlab.effects.plane import plane_value
 from livlab.effects.reduce import widened_phase
-from livlab.effects.scene import Scene
+from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, plain_stack
 
@@ -86,5 +86,5 @@ def test_a_beam_as_wide_as_its_sample_may_lose_all():
     bulk = plain_stack([(1.38, 0.6, 50.0, 140.0, FORWARD)])
     sphere = IntegratingSphere(port_diameter_mm=5.0, beam_diameter_mm=5.0)
     value = plane_value(bulk, sphere)
-    assert missed(Scene(bulk, sphere), value) == pytest.approx(value.scattered)
+    assert missed(OpticalScene(bulk, sphere), value) == pytest.approx(value.scattered)
     assert "lateral-loss" not in plan(bulk, sphere, 0.003).dropped

@@ -41,8 +41,8 @@ __all__ = [
     "BUDGET",
     "Accuracy",
     "Estimate",
+    "MeasurementProgress",
     "OnRound",
-    "Progress",
     "Sampling",
     "Variant",
     "estimate",
@@ -52,7 +52,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Progress:
+class MeasurementProgress:
     """How far a measurement is: share done, samples and seconds so far, and seconds left by present speed."""
 
     done: float
@@ -62,7 +62,7 @@ class Progress:
 
 
 Variant = Literal["llvm", "cuda"]
-OnRound = Callable[[xr.Dataset, Progress], None]
+OnRound = Callable[[xr.Dataset, MeasurementProgress], None]
 
 
 def measure(
@@ -118,7 +118,7 @@ def measure(
 
         def tell(so_far: xr.Dataset, *told: Any) -> None:
             if on_round is not None:
-                on_round(so_far, Progress(*told))
+                on_round(so_far, MeasurementProgress(*told))
 
         return by_tracer(stack, instrument, solver, view, variant, tell, resume)
     rule, walks = sampling_of(solver, accuracy), None
@@ -201,7 +201,7 @@ def _by_walk(
     def tell(_: Walks) -> None:
         if on_round is not None:
             done, left = walks.done()
-            on_round(result(), Progress(done, int(walks.samples.sum()), walks.seconds, left))
+            on_round(result(), MeasurementProgress(done, int(walks.samples.sum()), walks.seconds, left))
 
     walks.go(tell)
     return result()

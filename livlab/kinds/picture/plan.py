@@ -77,7 +77,7 @@ def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, st
     """
     from livlab.effects.catalogue import catalogue
     from livlab.effects.plan import plan, without
-    from livlab.effects.scene import Scene
+    from livlab.effects.scene import OpticalScene
 
     asked = config.effects
     if asked is None:
@@ -94,7 +94,7 @@ def plan_picture(config: PictureExperiment, tissue: Tissue, reading: Reading, st
         reading=reading,
         literal=config.sampling.estimator == "analog",
     )
-    scene = Scene(stack, HyperspectralCamera())
+    scene = OpticalScene(stack, HyperspectralCamera())
     reduced = without(scene, catalogue(scene, tissue, reading), frozenset(made.dropped)).stack
     widest = widest_change(stack.at(looked_at), reduced.at(looked_at)) if made.dropped else 0.0
     return PicturePlan(made, tuple(float(x) for x in stack.wavelength_nm[looked_at]), reduced, widest)

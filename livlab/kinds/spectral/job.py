@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.acquire.instruments.models import AddingDoublingSolver, AutoSolver, Instrument, TracerSolver, WalkSolver
-from livlab.acquire.instruments.spectrometer import Progress, measure
+from livlab.acquire.instruments.spectrometer import MeasurementProgress, measure
 from livlab.criteria import Claim
 from livlab.kinds.shared import tissue_tables
 from livlab.kinds.shared.references import Known, load_reference
@@ -207,7 +207,7 @@ def _measured(
     run.progress.advance(name, 0.0)
     saved = time.monotonic()
 
-    def on_round(so_far: xr.Dataset, progress: Progress) -> None:
+    def on_round(so_far: xr.Dataset, progress: MeasurementProgress) -> None:
         nonlocal saved
         run.progress.advance(name, min(progress.done, 0.999), f"{progress.samples / 1e6:.1f} M samples")
         stopping = run.stopping.is_set()

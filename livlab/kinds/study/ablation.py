@@ -10,7 +10,7 @@ import numpy as np
 
 from livlab.acquire.instruments.models import Instrument
 from livlab.effects.catalogue import catalogue
-from livlab.effects.scene import Scene
+from livlab.effects.scene import OpticalScene
 from livlab.kinds.study.config import StudyExperiment
 from livlab.kinds.study.config_parts import Target
 from livlab.model.tissue.optics import optical_stack
@@ -96,7 +96,7 @@ def _path(start: Reading, end: Reading, numbers: Mapping[str, Any]) -> list[Abla
 
 
 def _effects(base: Reading, stack: OpticalStack, instrument: Instrument, tissue: Tissue) -> list[AblationCase]:
-    found = catalogue(Scene(stack, instrument), tissue, base)
+    found = catalogue(OpticalScene(stack, instrument), tissue, base)
     return [
         AblationCase(f"{base.name} without {e.name}", "effect", base.name, None, e.name, "left out", base, (e.name,))
         for e in found

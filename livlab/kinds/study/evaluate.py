@@ -46,9 +46,9 @@ def spectrum(payload: Mapping[str, Any]) -> dict[str, Any]:
         if payload["without"]:
             from livlab.effects.catalogue import catalogue
             from livlab.effects.plan import without
-            from livlab.effects.scene import Scene
+            from livlab.effects.scene import OpticalScene
 
-            scene = Scene(stack, instrument)
+            scene = OpticalScene(stack, instrument)
             scene = without(scene, catalogue(scene, tissue, reading), frozenset(payload["without"]))
             stack, instrument = scene.stack, scene.instrument
         done = measure(stack, instrument, _SOLVER.validate_python(payload["solver"]), variant=payload["variant"])

@@ -15,7 +15,7 @@ from livlab.effects.config import EffectsConfig, forced_effects
 from livlab.effects.cost import mean_steps, predicted_cost
 from livlab.effects.lateral import _layers, _Medium, _one_layer
 from livlab.effects.plan import COLUMNS, Bounds, plan
-from livlab.effects.scene import Scene, groups
+from livlab.effects.scene import OpticalScene, groups
 from livlab.errors import ConfigError, InputError
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
@@ -34,7 +34,7 @@ def liver(wavelengths=(500.0, 560.0)):
 
 def test_the_catalogue_of_the_liver_names_every_kind_of_effect():
     stack = liver()
-    found = catalogue(Scene(stack, Collinear()), load_preset("liver"), SPHERES)
+    found = catalogue(OpticalScene(stack, Collinear()), load_preset("liver"), SPHERES)
     names = [e.name for e in found]
     assert len(set(names)) == len(names)
     for name in (
@@ -52,16 +52,16 @@ def test_the_catalogue_of_the_liver_names_every_kind_of_effect():
 
 
 def test_anisotropy_is_an_effect_where_light_is_scattered_forwards():
-    names = [e.name for e in catalogue(Scene(BULK, CAMERA))]
+    names = [e.name for e in catalogue(OpticalScene(BULK, CAMERA))]
     assert {f"layer-0-{x}" for x in ("small-angles-30", "small-angles-60", "small-angles-90", "anisotropy")} <= set(
         names
     )
     isotropic = plain_stack([(1.38, 0.6, 50.0, 140.0, Isotropic())])
-    assert not any("anisotropy" in e.name or "angles" in e.name for e in catalogue(Scene(isotropic, CAMERA)))
+    assert not any("anisotropy" in e.name or "angles" in e.name for e in catalogue(OpticalScene(isotropic, CAMERA)))
 
 
 def test_every_effect_is_a_pure_function_that_changes_its_scene():
-    scene = Scene(liver(), Collinear())
+    scene = OpticalScene(liver(), Collinear())
     before = [(x.name, x.thickness_mm, x.n.copy(), [i.rate.copy() for i in x.interactions]) for x in scene.stack.layers]
     for e in catalogue(scene, load_preset("liver"), SPHERES):
         if e.drop is None:
@@ -84,12 +84,12 @@ def test_every_effect_is_a_pure_function_that_changes_its_scene():
 def test_packaging_can_be_left_out_only_if_the_tissue_is_known():
     stack = liver()
     tissue = load_preset("liver")
-    spread = [e for e in catalogue(Scene(stack, CAMERA), tissue, SPHERES) if e.name == "packaging"]
+    spread = [e for e in catalogue(OpticalScene(stack, CAMERA), tissue, SPHERES) if e.name == "packaging"]
     assert len(spread) == 1 and spread[0].absorbs_only == 1
-    assert not [e for e in catalogue(Scene(stack, CAMERA)) if e.name == "packaging"]
+    assert not [e for e in catalogue(OpticalScene(stack, CAMERA)) if e.name == "packaging"]
     assert spread[0].drop is not None
     full = stack.layers[-1].absorption
-    without = spread[0].drop(Scene(stack, CAMERA)).stack.layers[-1].absorption
+    without = spread[0].drop(OpticalScene(stack, CAMERA)).stack.layers[-1].absorption
     assert (without > 1.1 * full).all()
     # The very stack of the same tissue with vessels of no radius.
     thin = load_preset("liver", changes={"layers.parenchyma.elements.blood.vessel_radius_um": 0.0})
@@ -189,7 +189,7 @@ def test_a_scene_that_the_solver_cannot_see_keeps_all_and_says_why():
 def test_absorption_by_short_paths_widens_the_bound():
     short = replace(BULK.layers[0].interactions[1], absorb_below_mm=0.001)
     stack = replace(BULK, layers=(replace(BULK.layers[0], interactions=(BULK.layers[0].interactions[0], short)),))
-    scene = Scene(stack, CAMERA)
+    scene = OpticalScene(stack, CAMERA)
     bounds = Bounds(scene, catalogue(scene))
     assert bounds.short(frozenset()).max() > 1e-3
     assert bounds.worst(frozenset({"transmission"})) >= bounds.short(frozenset()).max()
@@ -200,7 +200,7 @@ def test_only_absorption_moves_a_finite_sample_less_than_an_endless_one():
     one = np.ones(1)
     dye = Interaction("dye", 1e-4 * one, 0 * one, (Isotropic(),))
     stack = replace(stack, layers=(replace(stack.layers[0], interactions=(*stack.layers[0].interactions, dye)),))
-    scene = Scene(stack, Collinear())
+    scene = OpticalScene(stack, Collinear())
     bounds = Bounds(scene, catalogue(scene))
     assert bounds.worst(frozenset({"dye"})) < 1e-4
     assert bounds.worst(frozenset({"transmission"})) >= bounds.missed(frozenset()).max() > 1e-3
@@ -255,9 +255,9 @@ def test_predicted_steps_are_those_of_a_walk():
     assert float(mean_steps(plain_stack([(1.0, 1.0, 0.0, math.inf, Isotropic())]), 1.0)[0]) == pytest.approx(
         1.0, rel=1e-3
     )
-    endless, sides = (predicted_cost(Scene(BULK, Collinear(sample_side_mm=x))) for x in ("infinite", 10.0))
+    endless, sides = (predicted_cost(OpticalScene(BULK, Collinear(sample_side_mm=x))) for x in ("infinite", 10.0))
     assert endless < sides
-    assert predicted_cost(Scene(BULK, CAMERA), literal=True) > predicted_cost(Scene(BULK, CAMERA))
+    assert predicted_cost(OpticalScene(BULK, CAMERA), literal=True) > predicted_cost(OpticalScene(BULK, CAMERA))
 
 
 def test_the_table_has_its_columns_and_ends_with_the_group():
