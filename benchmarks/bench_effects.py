@@ -11,7 +11,10 @@ import time
 
 import numpy as np
 
-from livlab.acquire.instruments.models import Collinear, HyperspectralCamera, Instrument, IntegratingSphere
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.models import Instrument
 from livlab.effects.plan import plan
 from livlab.effects.timing import time_pair
 from livlab.model.tissue.optics import optical_stack

@@ -13,7 +13,8 @@ from typing import get_args
 
 import numpy as np
 
-from livlab.acquire.instruments.models import Instrument, IntegratingSphere
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.models import Instrument
 from livlab.acquire.instruments.spectrometer import Accuracy, Sampling, Variant, estimate
 from livlab.errors import InputError
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic

@@ -361,7 +361,7 @@ def _ledger(path: Path) -> bytes:
 
 
 def _bench() -> dict[str, Any]:
-    from livlab.acquire.instruments.models import HyperspectralCamera
+    from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
     from livlab.kinds.spectral.bench import bench_data
     from livlab.model.tissue.presets import load_preset
     from livlab.model.tissue.readings import READINGS

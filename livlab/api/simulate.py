@@ -140,7 +140,6 @@ def spectrum(
     >>> bool(found.value[0] < found.value[2])  # blood absorbs green, not red
     True
     """
-    from livlab.acquire.instruments.models import AddingDoublingSolver
     from livlab.acquire.instruments.spectrometer import measure
     from livlab.kinds.shared.seeds import reading_seed
     from livlab.model.tissue.optics import optical_stack
@@ -154,9 +153,7 @@ def spectrum(
     said: tuple[str, ...] = ()
     if config.effects is not None:
         stack, looks, said = _simplified(config, chosen, stack)
-    used = config.solver
-    if not isinstance(used, AddingDoublingSolver):
-        used = used.model_copy(update={"seed": reading_seed(config.seed, own.name)})
+    used = config.solver.with_seed(reading_seed(config.seed, own.name))
     data = measure(stack, looks, used, accuracy=config.accuracy, variant=config.variant)
     label = name or ", ".join(filter(None, (chosen.name, chosen.state.replace("_", " "), own.name)))
     noted = tuple(filter(None, str(data.attrs["notes"]).split("\n")))
@@ -188,7 +185,7 @@ def _simplified(
         mode=asked.mode,
         tissue=chosen,
         reading=config.all_readings[0],
-        literal=getattr(config.solver, "estimator", "expected") == "analog",
+        literal=config.solver.literal,
     )
     said: tuple[str, ...] = ()
     if planned.dropped:

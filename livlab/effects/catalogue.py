@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from livlab.effects import reduce
-from livlab.effects.scene import LayerGroup, OpticalScene, groups, sideways_endless, sideways_finite
+from livlab.effects.scene import LayerGroup, OpticalScene, groups
 from livlab.model.tissue.elements import Blood
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -127,7 +127,7 @@ def _scattering(stack: OpticalStack, group: LayerGroup) -> Iterator[Effect]:
     if parts:
         change = partial(reduce.without_scattering, layers=group.names)
         what = f"scattering in the {group.name} ({', '.join(parts)})"
-        yield _plane(f"{group.name}-scattering", what, "a meeting at every free path", 1, change)
+        yield _plane(f"{group.name}-scattering", what, "a collision at every free path", 1, change)
 
 
 def _elements(stack: OpticalStack, found: tuple[LayerGroup, ...]) -> Iterator[Effect]:
@@ -142,12 +142,12 @@ def _elements(stack: OpticalStack, found: tuple[LayerGroup, ...]) -> Iterator[Ef
         kinds = [k for k, holds in (("scattering", scatters), ("absorption", absorbs)) if holds]
         what = f"{' and '.join(kinds)} by {name} in the {' and '.join(g.name for g in holders)}"
         change = partial(reduce.without_element, element=name, layers=every)
-        cost = "meetings with it, and a draw of its own in the literal walk"
+        cost = "collisions with it, and a draw of its own in the literal walk"
         yield _plane(name, what, cost, 2, change, 0 if scatters else -1)
 
 
 def _layers(stack: OpticalStack, group: LayerGroup, *, alone: bool) -> Iterator[Effect]:
-    cost = "its meetings, its interfaces, and its coefficients in every step"
+    cost = "its collisions, its interfaces, and its coefficients in every step"
     if not alone:
         change = partial(reduce.without_layers, names=group.names)
         yield _plane(group.name, f"the {group.name} whole", cost, 3, change)
@@ -168,7 +168,7 @@ def _phases(stack: OpticalStack, group: LayerGroup) -> Iterator[Effect]:
     g = max((p.anisotropy for p in phases.values()), default=0.0)
     if g <= 0.0:
         return
-    cost = "many meetings that hardly turn the light"
+    cost = "many collisions that hardly turn the light"
     for cone in CONES_DEG:
         if any(reduce.widened_phase(p, cone)[1] < 1.0 for p in phases.values()):
             what = f"angles of scattering below {cone}° in the {group.name}, told apart"
@@ -201,7 +201,7 @@ def _indices(stack: OpticalStack, found: tuple[LayerGroup, ...]) -> Iterator[Eff
         yield _plane(f"interface-{names[0]}-{names[1]}", what, "Fresnel at every crossing", 8, change)
     if not np.array_equal(stack.n_above, stack.layers[0].n):
         what = "Fresnel reflection and refraction at the surface, from without and within"
-        cost = "Fresnel at the surface, and meetings of what it sends back"
+        cost = "Fresnel at the surface, and collisions of what it sends back"
         yield _plane("surface-fresnel", what, cost, 9, reduce.matched_surface)
 
 
@@ -209,14 +209,14 @@ def _ends(scene: OpticalScene) -> Iterator[Effect]:
     if not np.isinf(scene.stack.layers[-1].thickness_mm):
         what = "an end below: light that leaves there, or is sent back"
         yield _plane("transmission", what, "nothing: it ends photons", 10, reduce.endless)
-    if sideways_finite(scene.instrument):
+    if scene.instrument.edges():
         yield Effect(
             "lateral-loss",
             "an end sideways: light that leaves through the sides or misses the port",
             "places and directions in space, followed at every step",
             "plane layers",
             11,
-            lambda s: replace(s, instrument=sideways_endless(s.instrument)),
+            lambda s: replace(s, instrument=s.instrument.endless()),
         )
 
 

@@ -1,7 +1,7 @@
-"""What a walk over a scene costs, before it is walked: expected meetings and crossings, and what each step takes.
+"""What a walk over a scene costs, before it is walked: expected collisions and crossings, and what each step takes.
 
 With a trace ε of absorption added to a layer, the share of light that ε absorbs over ε is the mean path of the light
-in that layer; times the layer's summed rate it is the mean number of meetings a photon has there (adding–doubling at
+in that layer; times the layer's summed rate it is the mean number of collisions a photon has there (adding–doubling at
 few nodes). That counts photons of the literal walk, which end where they are absorbed; those of the weighted walk go
 on until half their weight is left, so their number is larger, by a factor that differs little between like scenes.
 """
@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from livlab.acquire.instruments.models import FibreProbe
-from livlab.acquire.instruments.readout import readout
 from livlab.effects.reduce import more_absorbing
 from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
@@ -40,7 +38,7 @@ function, and for each further way of scattering (in the literal walk: each furt
 
 
 def mean_steps(stack: OpticalStack, mu0: float) -> FloatArray:
-    """(W,) mean number of meetings and crossings of a photon that enters the stack, about.
+    """(W,) mean number of collisions and crossings of a photon that enters the stack, about.
 
     Examples
     --------
@@ -75,8 +73,8 @@ def predicted_cost(scene: OpticalScene, *, literal: bool = False) -> float:
     literal
         For the literal walk, in which every element draws, in place of the weighted one.
     """
-    view = readout(scene.instrument, scene.stack.n_above)
-    binned = bool(view.tally.radius_edges) or isinstance(scene.instrument, FibreProbe)
+    view = scene.instrument.readout(scene.stack.n_above)
+    binned = bool(view.tally.radius_edges)
     step = (
         1.0
         + PER_LAYER * (len(scene.stack.layers) - 1)

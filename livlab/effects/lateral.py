@@ -21,57 +21,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from livlab.acquire.instruments.models import Collinear, Instrument, IntegratingSphere
-from livlab.acquire.instruments.readout import Readout, readout
+from livlab.acquire.instruments.base import Edge
 from livlab.effects.plane import PlaneValue, plane_value
 from livlab.effects.reduce import more_absorbing
-from livlab.effects.scene import OpticalScene, sideways_finite
+from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.stack import OpticalStack, PlaneLayer
 from livlab.model.transport.fresnel import fresnel
+from livlab.model.transport.geometry import Readout
 from livlab.units import FloatArray
 
 _DIRECTIONS = 48
 _SPACING = 3.2 / _DIRECTIONS
 _RATES = np.linspace(0.05, 1.0, 39)
-
-
-@dataclass(frozen=True)
-class Edge:
-    """The edge of a sample or a port.
-
-    Attributes
-    ----------
-    distance_mm
-        From the beam's rim, or half the side of a square lit all over.
-    sides
-        Number of planes that every path beyond the edge has passed one of.
-    plane_mm
-        Their distance from the beam's rim.
-    lit_all_over
-        Whether the beam covers the whole square.
-    """
-
-    distance_mm: float
-    sides: int
-    plane_mm: float
-    lit_all_over: bool = False
-
-
-def edges(instrument: Instrument) -> tuple[Edge, ...]:
-    """The edge that an instrument's light may pass, described in each way that helps; none for endless samples."""
-    if isinstance(instrument, Collinear) and instrument.sample_side_mm != "infinite":
-        half = instrument.sample_side_mm / 2
-        return (Edge(half, 4, half, instrument.beam == "face"),)
-    if isinstance(instrument, IntegratingSphere):
-        rim = instrument.beam_diameter_mm / 2
-        if instrument.port_diameter_mm != "infinite":
-            # The sample is no smaller than the port: what passes its sides has passed the port's rim.
-            radius = instrument.port_diameter_mm / 2
-            return tuple(Edge(radius - rim, m, radius * math.cos(math.pi / m) - rim) for m in (4, 8, 16, 32))
-        if instrument.sample_side_mm != "infinite":
-            half = instrument.sample_side_mm / 2
-            return (Edge(half - rim, 4, half - rim),)
-    return ()
 
 
 def missed(scene: OpticalScene, value: PlaneValue, enough: float = 0.0) -> FloatArray:
@@ -86,13 +47,14 @@ def missed(scene: OpticalScene, value: PlaneValue, enough: float = 0.0) -> Float
     enough
         A bound as low as this needs no lowering.
     """
-    if not sideways_finite(scene.instrument):
+    edges = scene.instrument.edges()
+    if not edges:
         return np.zeros_like(value.fine)
     least = np.maximum(value.scattered, 0.0)
-    known = [e for e in edges(scene.instrument) if e.distance_mm > 0]
+    known = [e for e in edges if e.distance_mm > 0]
     if not known:
         return least
-    view = readout(scene.instrument, scene.stack.n_above)
+    view = scene.instrument.readout(scene.stack.n_above)
     for edge in known:
         if not edge.lit_all_over and edge.plane_mm > 0:
             least = np.minimum(least, [_reached(scene.stack, k, view, edge) for k in range(len(least))])

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.base import VirtualInstrument
 from livlab.effects.catalogue import Effect, catalogue
 from livlab.effects.config import Force, forced_effects
 from livlab.effects.cost import predicted_cost
 from livlab.effects.lateral import missed
 from livlab.effects.plane import PlaneValue, plane_value, unseen, without_short_paths
-from livlab.effects.scene import OpticalScene, sideways_finite
+from livlab.effects.scene import OpticalScene
 from livlab.errors import InputError
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
@@ -100,7 +100,7 @@ class Plan:
         return tuple(r.effect for r in self.rows if r.decision in ("dropped", "forced off"))
 
     @property
-    def instrument(self) -> Instrument:
+    def instrument(self) -> VirtualInstrument:
         """The instrument over the reduced stack."""
         return self.reduced.instrument
 
@@ -202,7 +202,7 @@ class Bounds:
             return np.full(self.width, np.nan)
         bound = self.value(dropped).difference(self.value(frozenset()))
         bound = bound + self.short(dropped) + self.short(frozenset())
-        if not sideways_finite(self.scene.instrument):
+        if not self.scene.instrument.edges():
             return bound
         if "lateral-loss" in dropped:
             return bound + self.missed(frozenset())
@@ -238,7 +238,7 @@ class Bounds:
 
 def plan(
     stack: OpticalStack,
-    instrument: Instrument,
+    instrument: VirtualInstrument,
     tolerance: float = 0.002,
     forced: Mapping[str, Force] | None = None,
     *,
@@ -281,7 +281,7 @@ def plan(
 
     Examples
     --------
-    >>> from livlab.acquire.instruments.models import HyperspectralCamera
+    >>> from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
     >>> from livlab.model.tissue.phase.functions import HenyeyGreenstein
     >>> from livlab.model.tissue.stack import plain_stack
     >>> bulk = plain_stack([(1.38, 0.6, 50.0, 140.0, HenyeyGreenstein(0.95))])

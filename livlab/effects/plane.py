@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from livlab.acquire.instruments.models import FibreProbe, Instrument
-from livlab.acquire.instruments.readout import readout
+from livlab.acquire.instruments.base import VirtualInstrument
 from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.phase.functions import Isotropic
 from livlab.model.tissue.stack import OpticalStack
@@ -55,15 +54,15 @@ class PlaneValue:
         return np.asarray(np.abs(fine) + open_)
 
 
-def plane_value(stack: OpticalStack, instrument: Instrument) -> PlaneValue:
+def plane_value(stack: OpticalStack, instrument: VirtualInstrument) -> PlaneValue:
     """The instrument's reading over the stack as if neither sample nor port ended sideways.
 
     Raises
     ------
     InputError
-        For a fibre probe, whose reading hangs on lateral distances.
+        For an instrument whose reading hangs on a lateral distance, as a fibre probe's does.
     """
-    view = readout(instrument, stack.n_above)
+    view = instrument.readout(stack.n_above)
     mu0 = math.cos(view.source.angle_rad)
     solved = [adding_doubling(stack, mu0=mu0, nodes=n, tolerance=_TOLERANCE, order=ORDER) for n in NODES]
     coarse, fine = (view.of_endless(x) for x in solved)
@@ -92,8 +91,8 @@ def widest_change(full: OpticalStack, reduced: OpticalStack) -> float:
 
 def unseen(scene: OpticalScene) -> str:
     """Why adding–doubling cannot tell what an effect of the scene changes; empty if it can."""
-    if isinstance(scene.instrument, FibreProbe):
-        return "the deterministic solver knows no distance between fibres"
+    if scene.instrument.lateral_distance:
+        return f"the deterministic solver knows no {scene.instrument.lateral_distance}"
     for x in scene.stack.layers:
         for i in x.interactions:
             scatters = np.flatnonzero(i.rate * i.albedo)

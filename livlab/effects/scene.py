@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from livlab.acquire.instruments.models import Collinear, Instrument, IntegratingSphere
+from livlab.acquire.instruments.base import VirtualInstrument
 from livlab.effects.reduce import Names
 from livlab.model.tissue.stack import OpticalStack, PlaneLayer
 
@@ -16,7 +16,7 @@ class OpticalScene:
     """An optical stack under an instrument."""
 
     stack: OpticalStack
-    instrument: Instrument
+    instrument: VirtualInstrument
 
 
 @dataclass(frozen=True)
@@ -60,21 +60,3 @@ def groups(layers: Sequence[PlaneLayer]) -> tuple[LayerGroup, ...]:
         before = stem
     # A single "NAME 1" without a "NAME 2" is no sublayer.
     return tuple(LayerGroup(g.members[0], g.members) if len(g.members) == 1 else g for g in made)
-
-
-def sideways_finite(instrument: Instrument) -> bool:
-    """Whether light can be lost sideways: through the sample's sides or beside the port."""
-    if isinstance(instrument, Collinear):
-        return instrument.sample_side_mm != "infinite"
-    if isinstance(instrument, IntegratingSphere):
-        return instrument.sample_side_mm != "infinite" or instrument.port_diameter_mm != "infinite"
-    return False
-
-
-def sideways_endless(instrument: Instrument) -> Instrument:
-    """The instrument over a sample, and with a port, that never end."""
-    if isinstance(instrument, Collinear):
-        return instrument.model_copy(update={"sample_side_mm": "infinite"})
-    if isinstance(instrument, IntegratingSphere):
-        return instrument.model_copy(update={"sample_side_mm": "infinite", "port_diameter_mm": "infinite"})
-    return instrument

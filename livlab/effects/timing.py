@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from livlab.acquire.instruments.models import WalkSolver
-from livlab.acquire.instruments.spectrometer import Variant, measure
 from livlab.effects.plan import Plan, without
 from livlab.effects.scene import OpticalScene
 from livlab.errors import InputError
+from livlab.model.transport.device import Variant
+from livlab.model.transport.sampling import Sampling, Walks
 
 PILOT = 20_000
 
@@ -117,7 +117,9 @@ def time_pair(
 def _walk(scene: OpticalScene, samples: int, seed: int, variant: Variant) -> tuple[float, float]:
     """Seconds, and the squared standard error of the value, mean over the wavelengths."""
     clock = time.process_time if variant == "llvm" else time.perf_counter
-    solver = WalkSolver(samples=samples, pilot=samples, largest_launch=10**9, seed=seed)
+    view = scene.instrument.readout(scene.stack.n_above)
+    rule = Sampling(samples=samples, pilot=samples, largest_launch=10**9, seed=seed)
     started = clock()
-    result = measure(scene.stack, scene.instrument, solver, variant=variant)
-    return clock() - started, float(np.mean(np.square(result["standard_error"].to_numpy())))
+    walks = Walks(scene.stack, view, rule, variant=variant)
+    walks.go()
+    return clock() - started, float(np.mean(np.square(walks.standard_error("value"))))

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.acquire.instruments.models import Instrument
-from livlab.acquire.instruments.readout import readout
 from livlab.errors import InputError, LivlabError
 from livlab.fitting.stacks import StackMaker
 from livlab.model.tissue.readings import Reading
@@ -144,7 +143,7 @@ class LedgerForward:
         from livlab.model.transport.ledger.record_ledger import record
 
         started = time.perf_counter()
-        self.readout = readout(self.instrument, stack.n_above)
+        self.readout = self.instrument.readout(stack.n_above)
         self.ledger = record(
             stack,
             standard_error=coarser * self.standard_error,

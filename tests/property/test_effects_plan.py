@@ -11,8 +11,10 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from livlab.acquire.instruments.models import Collinear, HyperspectralCamera, IntegratingSphere, WalkSolver
-from livlab.acquire.instruments.readout import readout
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.solvers import WalkSolver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.effects import plan as planning
 from livlab.effects.plan import Bounds, plan
@@ -127,7 +129,7 @@ with_sides = st.one_of(
 
 def exact(stack, instrument, nodes=36):
     """The reading of an endless scene at twice the planner's nodes, and how far it is from 24."""
-    view = readout(instrument, stack.n_above)
+    view = instrument.readout(stack.n_above)
     mu0 = math.cos(view.source.angle_rad)
     values = [view.of_endless(adding_doubling(stack, mu0=mu0, nodes=n, tolerance=1e-6)) for n in (24, nodes)]
     return values[1], np.abs(values[1] - values[0])

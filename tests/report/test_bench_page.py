@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments.models import Collinear, HyperspectralCamera
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.errors import InputError
 from livlab.fitting.forward import LedgerForward
 from livlab.kinds.spectral.bench import bench_data, bench_grid

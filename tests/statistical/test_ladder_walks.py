@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments.models import Collinear, FibreProbe, HyperspectralCamera, IntegratingSphere, WalkSolver
-from livlab.acquire.instruments.readout import readout
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.fibre_probe import FibreProbe
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.solvers import WalkSolver
 from livlab.acquire.instruments.spectrometer import estimate, measure
 from livlab.kinds.checks.cost import FAR, cost, slope
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
@@ -122,7 +125,7 @@ def test_a_ledger_of_a_sample_with_sides_reads_what_walks_do():
 def test_the_ledger_is_taken_for_many_wavelengths_where_it_is_sooner_done(monkeypatch):
     """Adding–doubling out of the way, 24 wavelengths to 0.03 %: a walk each, or one record for all."""
     monkeypatch.setattr("livlab.model.transport.ladder.pick.WORTH_NO_WALK", 0.0)
-    view = readout(SPHERE, np.ones(24))
+    view = SPHERE.readout(np.ones(24))
     picked = pick(many(), view, Accuracy(relative=0.0003), sampling=Sampling(relative=0.1, seed=2))
     assert {x for x in ("adding-doubling", "walk expected", "ledger") if x in picked.notes[0]} == {
         "adding-doubling",
@@ -161,7 +164,7 @@ def test_the_cost_of_every_solver_on_one_scene():
 def test_rings_of_the_dipole_are_off_by_less_than_it_says(absorption, n):
     """A wide-open fibre 6 transport paths away; the walk's own error is below 3 %."""
     scene = plain_stack([(n, absorption, 1.0, math.inf, Isotropic())])
-    view = readout(FibreProbe(distance_mm=6.0, fibre_radius_mm=1.5, numerical_aperture=1.0), scene.n_above)
+    view = FibreProbe(distance_mm=6.0, fibre_radius_mm=1.5, numerical_aperture=1.0).readout(scene.n_above)
     dipole = solve(scene, view, solver="diffusion")
     walked = solve(scene, view, Accuracy(relative=0.03), "walk expected", sampling=Sampling(relative=0.03, seed=2))
     assert dipole.valid.all()

@@ -10,16 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments.models import (
-    AddingDoublingSolver,
-    Collinear,
-    FibreProbe,
-    HyperspectralCamera,
-    Instrument,
-    IntegratingSphere,
-    TracerSolver,
-    WalkSolver,
-)
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.fibre_probe import FibreProbe
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.solvers import AddingDoublingSolver, TracerSolver, WalkSolver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.errors import InputError
 from livlab.model.tissue.optics import optical_stack

@@ -5,14 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments.models import (
-    AddingDoublingSolver,
-    Collinear,
-    FibreProbe,
-    HyperspectralCamera,
-    IntegratingSphere,
-    WalkSolver,
-)
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.fibre_probe import FibreProbe
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.solvers import AddingDoublingSolver, WalkSolver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments.models import Collinear, HyperspectralCamera, IntegratingSphere
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
 from livlab.effects.lateral import missed
 from livlab.effects.plan import plan
 from livlab.effects.plane import plane_value

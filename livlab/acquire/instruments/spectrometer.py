@@ -16,23 +16,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from livlab.acquire.instruments.models import (
-    DEFAULT_ACCURACY,
-    AddingDoublingSolver,
-    AutoSolver,
-    Collinear,
-    FibreProbe,
-    HyperspectralCamera,
-    Instrument,
-    IntegratingSphere,
-    Solver,
-    TracerSolver,
-    WalkSolver,
-)
-from livlab.acquire.instruments.readout import Readout, readout
+from livlab.acquire.instruments.base import VirtualInstrument
+from livlab.acquire.instruments.solvers import DEFAULT_ACCURACY, AutoSolver, Solver, WalkSolver
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.accuracy import Accuracy
+from livlab.model.transport.device import Variant
+from livlab.model.transport.geometry import Readout
 from livlab.model.transport.ladder.solve import Estimate, pick, solve
 from livlab.model.transport.sampling import BUDGET, Sampling, Walks
 from livlab.units import FloatArray
@@ -61,13 +51,12 @@ class MeasurementProgress:
     seconds_left: float
 
 
-Variant = Literal["llvm", "cuda"]
 OnRound = Callable[[xr.Dataset, MeasurementProgress], None]
 
 
 def measure(
     stack: OpticalStack,
-    instrument: Instrument,
+    instrument: VirtualInstrument,
     solver: Solver,
     *,
     accuracy: Accuracy | None = None,
@@ -82,7 +71,7 @@ def measure(
     stack
         The layers and wavelengths.
     instrument
-        `Collinear`, `IntegratingSphere`, `FibreProbe` or `HyperspectralCamera`; each says what its value is.
+        One of `livlab.acquire.instruments.models.INSTRUMENTS`; each says what its value is.
     solver
         `WalkSolver`, `AddingDoublingSolver`, `TracerSolver`, or `AutoSolver`, which picks the cheaper of the first two.
     accuracy
@@ -107,13 +96,13 @@ def measure(
     Raises
     ------
     InputError
-        If adding–doubling is asked for a fibre probe, which needs lateral distances; the tracer for a sample that light
-        gets through; or `resume` is of another measurement.
+        If adding–doubling is asked for what needs lateral distances, as a fibre probe does; the tracer for a sample
+        that light gets through; or `resume` is of another measurement.
     """
-    view = readout(instrument, stack.n_above)
-    if isinstance(solver, AddingDoublingSolver):
+    view = instrument.readout(stack.n_above)
+    if solver.kind == "adding-doubling":
         return _by_adding_doubling(stack, instrument, solver, solver.tolerance, view)
-    if isinstance(solver, TracerSolver):
+    if solver.kind == "tracer":
         from livlab.acquire.instruments.spectrometer_tracer import by_tracer
 
         def tell(so_far: xr.Dataset, *told: Any) -> None:
@@ -124,7 +113,7 @@ def measure(
     rule, walks = sampling_of(solver, accuracy), None
     notes: tuple[str, ...] = ()
     # What is gone on from has been chosen before, and was a walk: nothing else takes rounds.
-    if isinstance(solver, AutoSolver) and resume is None:
+    if solver.is_auto and resume is None:
         wish = accuracy or DEFAULT_ACCURACY
         picked = pick(stack, view, wish, account=True, sampling=rule, variant=variant)
         walks, notes = picked.walks, picked.notes
@@ -142,7 +131,7 @@ def measure(
 
 def estimate(
     stack: OpticalStack,
-    instrument: Instrument,
+    instrument: VirtualInstrument,
     accuracy: Accuracy | None = None,
     solver: str = "auto",
     *,
@@ -152,20 +141,20 @@ def estimate(
 ) -> Estimate:
     """What an instrument reads over a stack by one rung of the ladder: `livlab.model.transport.ladder.solve.solve`.
 
-    >>> from livlab.acquire.instruments.models import HyperspectralCamera
+    >>> from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
     >>> from livlab.model.tissue.phase.functions import Isotropic
     >>> from livlab.model.tissue.stack import plain_stack
     >>> slab = plain_stack([(1.0, 1.0, 99.0, 1.0, Isotropic())])
     >>> estimate(slab, HyperspectralCamera(illumination_deg=0.0), Accuracy(standard_error=1e-3)).solver
     'adding-doubling'
     """
-    view = readout(instrument, stack.n_above)
+    view = instrument.readout(stack.n_above)
     return solve(stack, view, accuracy, solver, outside=outside, sampling=sampling, variant=variant)
 
 
 def _by_walk(
     stack: OpticalStack,
-    instrument: Instrument,
+    instrument: VirtualInstrument,
     solver: Solver,
     walks: Walks,
     notes: tuple[str, ...],
@@ -207,7 +196,7 @@ def _by_walk(
     return result()
 
 
-def _take(walks: Walks, instrument: Instrument, earlier: xr.Dataset) -> None:
+def _take(walks: Walks, instrument: VirtualInstrument, earlier: xr.Dataset) -> None:
     """Go on from an earlier result, if it is of the same measurement."""
     same = {"instrument": instrument.model_dump_json(), "seed": walks.rule.seed, "variant": walks.variant}
     same |= {"estimator": walks.rule.estimator}
@@ -225,15 +214,12 @@ def _take(walks: Walks, instrument: Instrument, earlier: xr.Dataset) -> None:
 
 def sampling_of(solver: WalkSolver | AutoSolver, accuracy: Accuracy | None = None) -> Sampling:
     """What rules a solver's walk; an accuracy replaces the walk's own rule."""
-    kept = solver.model_dump(exclude={"kind"})
-    if isinstance(solver, AutoSolver):
-        kept |= (accuracy or DEFAULT_ACCURACY).model_dump()
-    return Sampling(**kept)
+    return Sampling(**solver.rule(accuracy))
 
 
 def _by_adding_doubling(
     stack: OpticalStack,
-    instrument: Instrument,
+    instrument: VirtualInstrument,
     solver: Solver,
     tolerance: float,
     view: Readout,
@@ -241,7 +227,14 @@ def _by_adding_doubling(
 ) -> xr.Dataset:
     from livlab.model.transport.adding_doubling import adding_doubling
 
-    notes = _lateral_notes(instrument)
+    if instrument.lateral_distance:
+        raise InputError.of(
+            "solver.kind",
+            "adding-doubling",
+            f"knows no lateral distance, which a {instrument.words} needs",
+            "Use 'walk'.",
+        )
+    notes = instrument.endless_notes()
     started = time.perf_counter()
     mu0 = math.cos(view.source.angle_rad)
     solved = adding_doubling(stack, mu0=mu0, tolerance=tolerance)
@@ -270,24 +263,6 @@ def _by_adding_doubling(
     return out
 
 
-def _lateral_notes(instrument: Instrument) -> list[str]:
-    if isinstance(instrument, FibreProbe):
-        raise InputError.of(
-            "solver.kind", "adding-doubling", "knows no lateral distance, which a fibre probe needs", "Use 'walk'."
-        )
-    notes = []
-    if isinstance(instrument, Collinear | IntegratingSphere) and instrument.sample_side_mm != "infinite":
-        notes.append(
-            f"adding-doubling takes the sample of {instrument.sample_side_mm:g} mm as endless: nothing is lost sideways"
-        )
-    if isinstance(instrument, IntegratingSphere) and instrument.port_diameter_mm != "infinite":
-        notes.append(
-            f"adding-doubling takes the port of {instrument.port_diameter_mm:g} mm as endless: nothing misses it"
-        )
-    assert isinstance(instrument, Collinear | IntegratingSphere | HyperspectralCamera)
-    return notes
-
-
 def _dataset(
     stack: OpticalStack,
     values: dict[str, FloatArray],
@@ -313,7 +288,7 @@ def _dataset(
     return out
 
 
-def _attributes(instrument: Instrument, solver: Solver, notes: list[str]) -> dict[str, Any]:
+def _attributes(instrument: VirtualInstrument, solver: Solver, notes: list[str]) -> dict[str, Any]:
     return {
         "instrument": instrument.model_dump_json(),
         "solver": solver.model_dump_json(exclude_none=True),

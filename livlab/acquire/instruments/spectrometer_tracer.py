@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from livlab.acquire.instruments.models import Instrument, TracerSolver
-from livlab.acquire.instruments.readout import Readout
+from livlab.acquire.instruments.base import VirtualInstrument
+from livlab.acquire.instruments.solvers import TracerSolver
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
+from livlab.model.transport.geometry import Readout
 from livlab.model.transport.sampling import BUDGET
 from livlab.units import FloatArray
 
@@ -26,7 +28,7 @@ Told = Callable[[xr.Dataset, float, int, float, float], None]
 
 def by_tracer(
     stack: OpticalStack,
-    instrument: Instrument,
+    instrument: VirtualInstrument,
     solver: TracerSolver,
     view: Readout,
     variant: str,
@@ -43,18 +45,8 @@ def by_tracer(
         A stack that lets light through, or an earlier result of another measurement.
     """
     from livlab.model.tracer.block import Block
-    from livlab.model.transport.adding_doubling import adding_doubling
 
-    solved = adding_doubling(stack, mu0=math.cos(view.source.angle_rad), tolerance=1e-4)
-    through = float(solved["transmittance"].max())
-    if through > THIN:
-        raise InputError.of(
-            "solver.kind",
-            "tracer",
-            f"needs a sample that no light gets through; {through:.2g} does",
-            "Use 'walk', or a thicker last layer.",
-        )
-    specular = solved["specular"].to_numpy()
+    specular = _specular(stack, view)
     started = time.perf_counter()
     block = Block(stack, view, solver.estimator, f"{variant}_ad_spectral")
     sums = _Sums(len(stack.wavelength_nm))
@@ -67,13 +59,7 @@ def by_tracer(
         mean, error = sums.mean(), sums.error()
         value = mean + view.specular_weight * specular
         met = sums.needed(solver, value) <= sums.samples
-        said = [*stack.notes, *view.notes]
-        if not met.all():
-            short = ", ".join(f"{x:g}" for x in stack.wavelength_nm[~met])
-            said.append(f"wanted standard error not reached at {short} nm")
-        given_up = block.tracer.troubles["given_up"]
-        if given_up:
-            said.append(f"{given_up} paths were given up before they ended")
+        said = [*stack.notes, *view.notes, *_shortfalls(stack, met, block.tracer.troubles["given_up"])]
         out = _dataset(stack, value, error, specular, sums.samples, met)
         out.attrs = {
             "instrument": instrument.model_dump_json(),
@@ -106,6 +92,33 @@ def by_tracer(
             done = min(1.0, sums.samples / max(float(np.max(sums.needed(solver, now["value"].to_numpy()))), 1.0))
             spent = float(now.attrs["seconds"])
             on_round(now, done, sums.samples, spent, spent * (1.0 / max(done, 1e-6) - 1.0))
+
+
+def _specular(stack: OpticalStack, view: Readout) -> FloatArray:
+    """(W,) mirror reflection of the surface; a stack that lets light through is refused."""
+    from livlab.model.transport.adding_doubling import adding_doubling
+
+    solved = adding_doubling(stack, mu0=math.cos(view.source.angle_rad), tolerance=1e-4)
+    through = float(solved["transmittance"].max())
+    if through > THIN:
+        raise InputError.of(
+            "solver.kind",
+            "tracer",
+            f"needs a sample that no light gets through; {through:.2g} does",
+            "Use 'walk', or a thicker last layer.",
+        )
+    return np.asarray(solved["specular"].to_numpy())
+
+
+def _shortfalls(stack: OpticalStack, met: NDArray[np.bool_], given_up: int) -> list[str]:
+    """Where the error is larger than asked for, and paths that were given up."""
+    said = []
+    if not met.all():
+        short = ", ".join(f"{x:g}" for x in stack.wavelength_nm[~met])
+        said.append(f"wanted standard error not reached at {short} nm")
+    if given_up:
+        said.append(f"{given_up} paths were given up before they ended")
+    return said
 
 
 class _Sums:
@@ -158,7 +171,7 @@ class _Sums:
 
 
 def _check(
-    earlier: xr.Dataset, stack: OpticalStack, instrument: Instrument, solver: TracerSolver, variant: str
+    earlier: xr.Dataset, stack: OpticalStack, instrument: VirtualInstrument, solver: TracerSolver, variant: str
 ) -> None:
     same: dict[str, Any] = {"instrument": instrument.model_dump_json(), "seed": solver.seed, "variant": variant}
     same |= {"estimator": solver.estimator, "rung": f"tracer {solver.estimator}"}

@@ -8,7 +8,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
-from livlab.acquire.instruments.models import HyperspectralCamera, Instrument
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.models import Instrument
 from livlab.config.schema import Experiment, Text
 from livlab.kinds.shared.sections import Wavelengths
 from livlab.model.tissue.presets import TissueSpec

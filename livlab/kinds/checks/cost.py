@@ -15,7 +15,8 @@ from typing import Literal, get_args
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.instruments.models import Instrument, WalkSolver
+from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.solvers import WalkSolver
 from livlab.acquire.instruments.spectrometer import Accuracy, Estimate, Sampling, Variant, estimate, measure
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.acquire.instruments.models import HyperspectralCamera, Instrument
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.models import Instrument
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section, Text
 from livlab.errors import InputError, LivlabError

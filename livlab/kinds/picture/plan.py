@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from livlab.acquire.instruments.models import HyperspectralCamera
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.effects.plane import ANGLES_DEG, widest_change
 from livlab.errors import InputError
 from livlab.kinds.picture.config import PictureExperiment

@@ -97,7 +97,7 @@ def bench_data(
     g = np.array([sum_g(last, k) for k in range(len(grid))])
     reduced = last.scattering * (1.0 - g)
     thickness = layer.thickness_mm
-    free = math.isinf(thickness) and not _sided(instrument)
+    free = math.isinf(thickness) and "scattering" in instrument.sliders
     if free:
         sliders += _scattering(endless, at)
     least, most = _extremes(parts, sliders, reduced, free)
@@ -147,17 +147,10 @@ def sum_g(layer: Any, k: int) -> float:
     return turned / total if total > 0 else 0.0
 
 
-def _sided(instrument: Instrument) -> bool:
-    """Whether the instrument sees places: a sample with sides, a port, fibres."""
-    side = getattr(instrument, "sample_side_mm", "infinite")
-    port = getattr(instrument, "port_diameter_mm", "infinite")
-    return side != "infinite" or port != "infinite" or instrument.kind == "fibre-probe"
-
-
 def _made_endless(plain: Tissue, instrument: Instrument) -> Tissue:
     """The tissue with its last layer endless, where it is thicker than any light gets and nothing has sides."""
     layer = plain.layers[-1]
-    if _sided(instrument) or layer.thickness_mm < ENDLESS_MM:
+    if not instrument.scale_free or layer.thickness_mm < ENDLESS_MM:
         return plain
     return override(plain, {f"layers.{layer.name}.thickness_mm": math.inf}, by="bench")
 

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.acquire.instruments.models import (
-    DEFAULT_ACCURACY,
-    AddingDoublingSolver,
-    AutoSolver,
-    Instrument,
-    Solver,
-    WalkSolver,
-)
+from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.solvers import DEFAULT_ACCURACY, Solver, WalkSolver
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section
 from livlab.effects.config import EffectsConfig
@@ -100,7 +94,7 @@ class SpectralExperiment(Experiment):
         solver, wish = given.get("solver"), given.get("accuracy")
         if solver is None and wish is not None:
             return {**given, "solver": {"kind": "auto"}}
-        auto = solver.get("kind") == "auto" if isinstance(solver, dict) else isinstance(solver, AutoSolver)
+        auto = solver.get("kind") == "auto" if isinstance(solver, dict) else getattr(solver, "is_auto", False)
         return {**given, "accuracy": DEFAULT_ACCURACY} if auto and wish is None else given
 
     @model_validator(mode="after")
@@ -123,15 +117,17 @@ class SpectralExperiment(Experiment):
             if criterion.against is not None:
                 _known(f"criterion[{k}].against", criterion.against, labels)
         _once("criterion", [name for _, _, name in self.claims()])
-        if self.accuracy is not None and not isinstance(self.solver, AutoSolver):
+        if self.accuracy is not None and not self.solver.is_auto:
             raise InputError.of(
                 "solver.kind",
                 self.solver.kind,
                 "has an accuracy of its own, so that [accuracy] would not rule",
                 "Write solver.kind = 'auto', or leave [accuracy] out.",
             )
-        if not isinstance(self.solver, AddingDoublingSolver) and "seed" in self.solver.model_fields_set:
-            raise InputError.of("solver.seed", self.solver.seed, "an experiment has one seed", "Set `seed` at the top.")
+        if self.solver.own_seed is not None:
+            raise InputError.of(
+                "solver.seed", self.solver.own_seed, "an experiment has one seed", "Set `seed` at the top."
+            )
         self.tissue.build()
         self._curves_can_be_made()
         return self

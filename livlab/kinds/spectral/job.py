@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from livlab.acquire.instruments.models import AddingDoublingSolver, AutoSolver, Instrument, TracerSolver, WalkSolver
+from livlab.acquire.instruments.models import Instrument
 from livlab.acquire.instruments.spectrometer import MeasurementProgress, measure
 from livlab.criteria import Claim
 from livlab.kinds.shared import tissue_tables
@@ -86,7 +86,7 @@ def _plans(
             mode=config.effects.mode,
             tissue=tissue,
             reading=reading,
-            literal=getattr(config.solver, "estimator", "expected") == "analog",
+            literal=config.solver.literal,
         )
         costs.append({"stage": "plan", "reading": reading.name, "seconds": time.perf_counter() - started})
     return made
@@ -101,7 +101,7 @@ def _work(
     references: list[Known],
     costs: list[dict[str, object]],
 ) -> None:
-    if isinstance(config.solver, WalkSolver | TracerSolver):
+    if config.solver.sampled:
         name_device(run.info, config.variant)
     run.progress.begin(list(stacks))
     pieces: dict[str, xr.Dataset] = {}
@@ -133,7 +133,7 @@ def _work(
             }
         )
     walked = next((p.attrs["variant"] for p in pieces.values() if p.attrs["variant"] != "none"), None)
-    if walked is not None and isinstance(config.solver, AutoSolver):
+    if walked is not None and config.solver.is_auto:
         name_device(run.info, walked)
     # `auto` chooses by speed: whoever runs it again must be able to see that another solver answered.
     run.info["solvers"] = {name: str(piece.attrs["rung"]) for name, piece in pieces.items()}
@@ -196,9 +196,7 @@ def _measured(
     run: Run, config: SpectralExperiment, name: str, stack: OpticalStack, instrument: Instrument
 ) -> xr.Dataset:
     """One reading's measurement: as an earlier call left it, gone on from there, or from the start."""
-    solver = config.solver
-    if not isinstance(solver, AddingDoublingSolver):
-        solver = solver.model_copy(update={"seed": reading_seed(config.seed, name)})
+    solver = config.solver.with_seed(reading_seed(config.seed, name))
     key = f"measure {name}"
     earlier = run.load_piece(key)
     if earlier is not None and earlier.attrs["finished"]:

@@ -6,13 +6,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from livlab.acquire.instruments.models import (
-    AddingDoublingSolver,
-    AutoSolver,
-    HyperspectralCamera,
-    Instrument,
-    WalkSolver,
-)
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.solvers import AddingDoublingSolver, AutoSolver, WalkSolver
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment
 from livlab.errors import InputError, LivlabError
@@ -83,8 +79,10 @@ class StudyExperiment(Experiment):
                 raise InputError.of(f"output {output.name}.against", output.against, "names no reference", hint)
             output.points(self.wavelengths.grid())
         self._known_outputs()
-        if isinstance(self.solver, WalkSolver | AutoSolver) and "seed" in self.solver.model_fields_set:
-            raise InputError.of("solver.seed", self.solver.seed, "an experiment has one seed", "Set `seed` at the top.")
+        if not isinstance(self.solver, LedgerSolver) and self.solver.own_seed is not None:
+            raise InputError.of(
+                "solver.seed", self.solver.own_seed, "an experiment has one seed", "Set `seed` at the top."
+            )
         if self.method == "ablation":
             if self.factor:
                 raise InputError.of("factor", self.factor[0].name, "does not go with method = 'ablation'", "Drop it.")

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from livlab.acquire.instruments.models import Instrument, Solver
+from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.solvers import Solver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.errors import EnvironmentProblem, LivlabError
 from livlab.fitting.forward import LedgerForward

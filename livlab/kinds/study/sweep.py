@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from livlab.acquire.instruments.models import AutoSolver, WalkSolver
 from livlab.errors import InputError, LivlabError
 from livlab.jobs.jobs import Answer, Job
 from livlab.kinds.study.config import StudyExperiment
@@ -137,9 +136,7 @@ def spectrum_job(
     head = {p: v for p, v in point.items() if p.partition(".")[0] in ("reading", "instrument")}
     made = base.at(head)
     assert not isinstance(config.solver, LedgerSolver)
-    solver = config.solver
-    if isinstance(solver, WalkSolver | AutoSolver):
-        solver = solver.model_copy(update={"seed": reading_seed(config.seed, key)})
+    solver = config.solver.with_seed(reading_seed(config.seed, key))
     payload = {
         "tissue": base.tissue.model_dump(mode="json"),
         "changes": {p: v for p, v in point.items() if p not in head},

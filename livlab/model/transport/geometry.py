@@ -1,4 +1,4 @@
-"""What is asked of the light that leaves a stack, in terms that every solver knows."""
+"""The measurement geometry, illumination and detection, in terms that every solver knows."""
 
 from __future__ import annotations
 

@@ -9,7 +9,10 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from livlab.acquire.instruments.models import Collinear, FibreProbe, HyperspectralCamera, IntegratingSphere
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.fibre_probe import FibreProbe
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
 from livlab.effects.catalogue import catalogue
 from livlab.effects.config import EffectsConfig, forced_effects
 from livlab.effects.cost import mean_steps, predicted_cost

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from livlab.acquire.instruments.models import HyperspectralCamera
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.errors import ConfigError, LivlabError
 from livlab.fitting.forward import LedgerForward
 from livlab.fitting.stacks import StackMaker

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from livlab import datasets
-from livlab.acquire.instruments.models import HyperspectralCamera
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.config import parse_experiment
 from livlab.errors import ConfigError, InputError
 from livlab.kinds.execute import execute

@@ -126,7 +126,7 @@ def solve(
     stack
         Layers and wavelengths.
     view
-        What is asked of the light: `livlab.acquire.instruments.readout.readout(instrument, stack.n_above)`, or
+        The measurement geometry: `instrument.readout(stack.n_above)` of a virtual instrument, or
         `geometry.total_reflectance()`.
     accuracy
         The wish; 1 % of the curve's maximum if none is given.

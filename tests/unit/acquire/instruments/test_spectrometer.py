@@ -8,17 +8,12 @@ import xarray as xr
 from pydantic import TypeAdapter, ValidationError
 
 from livlab.acquire.instruments import spectrometer
-from livlab.acquire.instruments.models import (
-    AddingDoublingSolver,
-    Collinear,
-    FibreProbe,
-    HyperspectralCamera,
-    Instrument,
-    IntegratingSphere,
-    Solver,
-    WalkSolver,
-)
-from livlab.acquire.instruments.readout import probe_weights, readout
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.fibre_probe import FibreProbe, probe_weights
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.models import Instrument
+from livlab.acquire.instruments.solvers import AddingDoublingSolver, Solver, WalkSolver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.errors import InputError
 from livlab.model.tissue.phase.functions import HenyeyGreenstein
@@ -80,37 +75,37 @@ def solver(**values):
 def test_lambertian_reads_its_albedo_at_any_acceptance():
     """A Lambertian sends ρ sin²α of the light into the cone α."""
     for acceptance in (1.0, 30.0, 60.0, 90.0):
-        view = readout(Collinear(acceptance_deg=acceptance), ONE)
+        view = Collinear(acceptance_deg=acceptance).readout(ONE)
         flux = 0.37 * math.sin(math.radians(acceptance)) ** 2
         assert flux * view.weights[0, 0] == pytest.approx(0.37)
 
 
 def test_readout_of_each_instrument():
-    thesis = readout(Collinear(), ONE)
+    thesis = Collinear().readout(ONE)
     assert thesis.half_width_mm == 5.0
     assert thesis.source.square_half_width_mm == 5.0
     assert thesis.specular_weight == 0.0
-    pencil = readout(Collinear(beam="pencil", specular="included"), ONE)
+    pencil = Collinear(beam="pencil", specular="included").readout(ONE)
     assert pencil.source.square_half_width_mm == 0.0
     assert pencil.specular_weight == pytest.approx(4.0)  # 1 / sin² 30°
-    assert readout(Collinear(sample_side_mm="infinite"), ONE).half_width_mm is None
+    assert Collinear(sample_side_mm="infinite").readout(ONE).half_width_mm is None
 
-    sphere = readout(IntegratingSphere(sample_side_mm=30.0), ONE)
+    sphere = IntegratingSphere(sample_side_mm=30.0).readout(ONE)
     assert (sphere.half_width_mm, sphere.tally.radius_edges, sphere.specular_weight) == (15.0, (0.0, 10.0), 1.0)
-    assert readout(IntegratingSphere(specular="excluded"), ONE).specular_weight == 0.0
-    assert not readout(IntegratingSphere(port_diameter_mm="infinite"), ONE).tally.binned
+    assert IntegratingSphere(specular="excluded").readout(ONE).specular_weight == 0.0
+    assert not IntegratingSphere(port_diameter_mm="infinite").readout(ONE).tally.binned
 
     # The mirror reflection of light from 45° misses the camera; from 8° it enters, unless the polarisers cross.
-    assert readout(HyperspectralCamera(), ONE).specular_weight == 0.0
-    assert readout(HyperspectralCamera(illumination_deg=8.0), ONE).specular_weight > 1.0
-    assert readout(HyperspectralCamera(illumination_deg=8.0, polarisation="crossed"), ONE).specular_weight == 0.0
-    assert readout(HyperspectralCamera(illumination_deg=8.0, acceptance_deg=5.0), ONE).specular_weight == 0.0
+    assert HyperspectralCamera().readout(ONE).specular_weight == 0.0
+    assert HyperspectralCamera(illumination_deg=8.0).readout(ONE).specular_weight > 1.0
+    assert HyperspectralCamera(illumination_deg=8.0, polarisation="crossed").readout(ONE).specular_weight == 0.0
+    assert HyperspectralCamera(illumination_deg=8.0, acceptance_deg=5.0).readout(ONE).specular_weight == 0.0
 
-    probe = readout(FibreProbe(numerical_aperture=0.5), 1.46 * ONE)
+    probe = FibreProbe(numerical_aperture=0.5).readout(1.46 * ONE)
     assert probe.tally.theta_edges[1] == pytest.approx(math.asin(0.5 / 1.46))
-    assert readout(FibreProbe(numerical_aperture=1.2), ONE).tally.theta_edges == ()
+    assert FibreProbe(numerical_aperture=1.2).readout(ONE).tally.theta_edges == ()
     assert not probe.notes
-    assert readout(FibreProbe(), np.array([1.45, 1.47])).notes
+    assert FibreProbe().readout(np.array([1.45, 1.47])).notes
 
 
 def test_probe_weights_of_a_small_detector_are_its_share_of_the_ring():

@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from livlab.acquire.instruments.models import FibreProbe, IntegratingSphere
+from livlab.acquire.instruments.fibre_probe import FibreProbe
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
 from livlab.cli import app
 from livlab.errors import ConfigError, InputError
 from livlab.kinds.checks import cost as study

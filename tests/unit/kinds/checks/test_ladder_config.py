@@ -2,7 +2,7 @@
 
 import pytest
 
-from livlab.acquire.instruments.models import AutoSolver, WalkSolver
+from livlab.acquire.instruments.solvers import AutoSolver, WalkSolver
 from livlab.config import parse_experiment, to_toml
 from livlab.errors import ConfigError
 from livlab.model.transport.accuracy import Accuracy

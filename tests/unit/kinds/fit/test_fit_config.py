@@ -183,7 +183,7 @@ def test_each_scene_has_its_own_tissue(two: Path) -> None:
         both = result["reflectance"].to_numpy()
     config = load_experiment(two / "config.toml")
     values = pd.read_csv(two / "fit.csv").set_index("parameter")["value"]
-    from livlab.acquire.instruments.models import AddingDoublingSolver
+    from livlab.acquire.instruments.solvers import AddingDoublingSolver
     from livlab.acquire.instruments.spectrometer import measure
     from livlab.model.tissue.optics import optical_stack
     from livlab.model.tissue.tissue import override

@@ -12,7 +12,8 @@ import xarray as xr
 from scipy import stats
 
 from livlab import datasets
-from livlab.acquire.instruments.models import AddingDoublingSolver, HyperspectralCamera
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.solvers import AddingDoublingSolver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.config import parse_experiment
 from livlab.kinds.execute import Outcome, execute

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 from study_texts import BAND, BLOOD, MEAN, OXYGEN, READING, REFERENCE, RMSE, TISSUE, text
 
-from livlab.acquire.instruments.models import AddingDoublingSolver
+from livlab.acquire.instruments.solvers import AddingDoublingSolver
 from livlab.acquire.instruments.spectrometer import measure
 from livlab.config import parse_experiment
 from livlab.errors import InputError, Interrupted

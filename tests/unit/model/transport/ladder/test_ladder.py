@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from livlab.acquire.instruments.models import AutoSolver, Collinear, FibreProbe, HyperspectralCamera, IntegratingSphere
-from livlab.acquire.instruments.readout import readout
+from livlab.acquire.instruments.collinear import Collinear
+from livlab.acquire.instruments.fibre_probe import FibreProbe
+from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
+from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
+from livlab.acquire.instruments.solvers import AutoSolver
 from livlab.acquire.instruments.spectrometer import estimate, measure
 from livlab.errors import InputError
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
@@ -131,9 +134,9 @@ def test_diffusion_refuses_where_absorption_meets_scattering():
     with pytest.raises(InputError, match="half-space"):
         solve(stack(), total_reflectance(), solver="diffusion", outside="warn")
     assert "deep" in domain("diffusion", half_space(), total_reflectance(0.5)).reasons[0]
-    probe = readout(FibreProbe(distance_mm=2.0, numerical_aperture=1.0), np.ones(1))
+    probe = FibreProbe(distance_mm=2.0, numerical_aperture=1.0).readout(np.ones(1))
     assert "not yet diffuse" in domain("diffusion", half_space(), probe).reasons[0]
-    far = readout(FibreProbe(distance_mm=6.0, numerical_aperture=1.0), np.ones(1))
+    far = FibreProbe(distance_mm=6.0, numerical_aperture=1.0).readout(np.ones(1))
     assert domain("diffusion", half_space(), far).valid.all()
 
 
@@ -160,7 +163,7 @@ def test_adding_doubling_knows_no_distance_and_no_sides():
     with pytest.raises(InputError, match="nothing is lost sideways"):
         estimate(stack(), Collinear(), None, "adding-doubling")
     assert not estimate(stack(), Collinear(), None, "adding-doubling", outside="warn").valid.any()
-    view = readout(SPHERE, np.ones(3))
+    view = SPHERE.readout(np.ones(3))
     assert not domain("adding-doubling", stack(absorb_below_mm=0.01), view).valid.any()
     assert not domain("adding-doubling", stack(redirect="abs_cos"), view).valid.any()
     isotropic = Interaction("s", np.ones(1), np.ones(1), (Isotropic(),), redirect="abs_cos")
@@ -200,7 +203,7 @@ def test_a_wish_for_time_is_kept(lab, launch, sample, seconds):
     """By a clock that the walk moves: between 0.8 and 1.1 of the wish, a first launch of 1 s aside."""
     walker = lab(launch, sample)
     found = solve(
-        stack(), readout(Collinear(acceptance_deg=90.0), np.ones(3)), Accuracy(seconds=seconds), clock=walker.clock
+        stack(), Collinear(acceptance_deg=90.0).readout(np.ones(3)), Accuracy(seconds=seconds), clock=walker.clock
     )
     assert found.solver == "walk expected"
     first = launch + sample * 200_000
@@ -215,7 +218,7 @@ def test_a_wish_for_time_is_kept(lab, launch, sample, seconds):
 def test_a_wish_for_time_takes_adding_doubling_if_it_fits(lab, monkeypatch):
     walker = lab()
     slow_adding_doubling(monkeypatch, walker, 0.5)
-    view = readout(SPHERE, np.ones(3))
+    view = SPHERE.readout(np.ones(3))
     assert solve(stack(), view, Accuracy(seconds=5.0), clock=walker.clock).solver == "adding-doubling"
     start = walker.now
     found = solve(stack(), view, Accuracy(seconds=1.2), clock=walker.clock)
@@ -226,7 +229,7 @@ def test_a_wish_for_time_takes_adding_doubling_if_it_fits(lab, monkeypatch):
 
 def test_the_faster_of_walk_and_adding_doubling_is_taken(lab, monkeypatch):
     """Ten seconds a wavelength of adding–doubling lose to a quick walk, and win against a slow one."""
-    view = readout(SPHERE, np.ones(3))
+    view = SPHERE.readout(np.ones(3))
     quick = lab(0.1, 1e-7)
     slow_adding_doubling(monkeypatch, quick, 10.0)
     picked = pick(stack(), view, Accuracy(relative=0.01), clock=quick.clock)
@@ -376,7 +379,7 @@ def test_the_walks_start_small_against_the_clock(lab):
     """221 wavelengths with the usual pilot would be 14 million samples before anyone looks at the clock."""
     walker = lab(0.1, 1e-6)
     many = stack(tuple(np.linspace(500, 720, 221)))
-    walks = Walks(many, readout(Collinear(), np.ones(221)), Sampling(seconds=3.0), clock=walker.clock)
+    walks = Walks(many, Collinear().readout(np.ones(221)), Sampling(seconds=3.0), clock=walker.clock)
     walks.go()
     assert 2.4 < walker.now < 3.3
 
