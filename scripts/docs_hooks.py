@@ -15,6 +15,7 @@ from typing import Any
 FRACTION, LARGE = r"\frac", r"\dfrac"
 SEARCH = 'data-md-component="search" role="dialog"'
 COMMANDS = "<!-- every command, by docs_hooks -->"
+ELEMENTS = "<!-- every element, by docs_hooks -->"
 
 
 def on_config(config: Any) -> Any:
@@ -29,9 +30,10 @@ def on_config(config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put the commands' help where a page asks for it, and draw the symbols between dollars, as GitHub does."""
+    """Put commands' help and elements where a page asks for them, and draw symbols between dollars, as GitHub does."""
     if COMMANDS in markdown:
         return markdown.replace(COMMANDS, commands())
+    markdown = markdown.replace(ELEMENTS, elements()) if ELEMENTS in markdown else markdown
     if "```math" not in markdown:
         return markdown
     parts = re.split(r"(^```.*?^```|`[^`\n]+`)", markdown, flags=re.DOTALL | re.MULTILINE)
@@ -82,6 +84,31 @@ def commands() -> str:
     from livlab.cli.app import app
 
     return "\n".join(section(get_command(app), "livlab", 2))
+
+
+def elements() -> str:
+    """Every kind of element and its values, in Markdown."""
+    from livlab.model.tissue.elements import ELEMENTS as KINDS
+
+    return "\n".join(line for kind in KINDS for line in element(kind))
+
+
+def element(kind: Any) -> list[str]:
+    """One kind of element: what it is, and a row a value."""
+    name = kind.model_fields["kind"].annotation.__args__[0]
+    lines = [
+        f"### `{name}`",
+        "",
+        str(kind.__doc__),
+        "",
+        "| value | unit | bounds | if not said | |",
+        "|---|---|---|---|---|",
+    ]
+    for x in kind.parameters():
+        default = "" if x.required or x.default in (None, "") else f"`{x.default}`"
+        unit = "" if x.unit == "1" else x.unit
+        lines.append(f"| `{x.key}` | {unit} | {x.bounds} | {default} | {x.meaning} |")
+    return [*lines, ""]
 
 
 def section(command: Any, name: str, level: int) -> list[str]:

@@ -6,13 +6,13 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from livlab.effects import reduce
 from livlab.effects.scene import LayerGroup, OpticalScene, groups
-from livlab.model.tissue.elements import Blood
+from livlab.model.tissue.elements.base import Omission
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue, override
@@ -72,7 +72,7 @@ def catalogue(scene: OpticalScene, tissue: Tissue | None = None, reading: Readin
     stack, found = scene.stack, groups(scene.stack.layers)
     made: list[Effect] = []
     if tissue is not None and reading is not None:
-        made += _packaging(stack, tissue, reading)
+        made += _omissions(stack, tissue, reading)
     for group in found:
         made += _scattering(stack, group)
     made += _elements(stack, found)
@@ -99,27 +99,26 @@ def _plane(
     return Effect(name, what, cost, "plane layers", stage, _on_stack(change), absorbs_only)
 
 
-def _packaging(stack: OpticalStack, tissue: Tissue, reading: Reading) -> Iterator[Effect]:
+def _omissions(stack: OpticalStack, tissue: Tissue, reading: Reading) -> Iterator[Effect]:
+    """What the tissue's own elements say can be left out of them, such as the packaging of blood in vessels."""
     from livlab.model.tissue.optics import optical_stack
 
     plain = tissue.under(reading)
-    # By number: the choices of the reading are made, so a path stays as it is set.
-    paths = {
-        f"layers.{k}.elements.{name}.vessel_radius_um": 0.0
-        for k, layer in enumerate(plain.layers)
-        for name, element in layer.elements.items()
-        if isinstance(element, Blood) and element.vessel_radius_um > 0
-    }
-    if not paths:
-        return
-    spread = optical_stack(override(plain, paths), reading, stack.wavelength_nm)
+    found: dict[str, tuple[Omission, dict[str, Any]]] = {}
+    for k, layer in enumerate(plain.layers):
+        for name, element in layer.elements.items():
+            for omission in element.omissions():
+                # By number: the choices of the reading are made, so a path stays as it is set.
+                values = {f"layers.{k}.elements.{name}.{key}": v for key, v in omission.values.items()}
+                found.setdefault(omission.name, (omission, {}))[1].update(values)
     before = {(x.name, i.name): i.rate for x in stack.layers for i in x.interactions}
-    after = {(x.name, i.name): i.rate for x in spread.layers for i in x.interactions}
-    rates = {key: rate for key, rate in after.items() if key in before and not np.array_equal(rate, before[key])}
-    if rates:
-        change = partial(reduce.with_rates, rates=rates)
-        cost = "nothing in a walk: a factor on a coefficient"
-        yield _plane("packaging", "blood packed in vessels, not spread evenly", cost, 0, change, +1)
+    for omission, values in found.values():
+        without = optical_stack(override(plain, values), reading, stack.wavelength_nm)
+        after = {(x.name, i.name): i.rate for x in without.layers for i in x.interactions}
+        rates = {key: rate for key, rate in after.items() if key in before and not np.array_equal(rate, before[key])}
+        if rates:
+            change = partial(reduce.with_rates, rates=rates)
+            yield _plane(omission.name, omission.what, omission.cost, 0, change, omission.absorbs_only)
 
 
 def _scattering(stack: OpticalStack, group: LayerGroup) -> Iterator[Effect]:

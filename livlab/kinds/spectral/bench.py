@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,7 @@ from livlab.acquire.instruments.models import Instrument
 from livlab.errors import InputError
 from livlab.fitting.forward import LedgerForward
 from livlab.model.tissue import chromophores
-from livlab.model.tissue.elements import (
-    Blood,
-    Cell,
-    LawAbsorber,
-    Mixture,
-    Pigment,
-    PowerLawScatterer,
-    PublishedScatterer,
-    Solute,
-)  # fmt: skip
-from livlab.model.tissue.interactions import interaction
+from livlab.model.tissue.elements.base import Slider
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.setting import Setting
@@ -42,7 +33,6 @@ NODES = 32
 MOST = 201
 STEP_NM = 10.0
 
-RADII_UM = (1.0, 100.0)
 AMPLITUDES = (0.4, 2.5)
 EXPONENTS = (-1.0, 1.0)
 DECIMALS = 9
@@ -86,7 +76,6 @@ def bench_data(
     endless = _made_endless(plain, instrument)
     layer = endless.layers[-1]
     grid = np.asarray(wavelength_nm, dtype=np.float64)
-    at = f"layers.{layer.name}"
     parts, sliders = _parts(endless, reading, grid)
     if not sliders:
         raise InputError.of("tissue", layer.name, "has no value that a bench can move", "Use a layer with blood, say.")
@@ -99,7 +88,7 @@ def bench_data(
     thickness = layer.thickness_mm
     free = math.isinf(thickness) and "scattering" in instrument.sliders
     if free:
-        sliders += _scattering(endless, at)
+        sliders += _scattering(endless)
     least, most = _extremes(parts, sliders, reduced, free)
     white = _with_absorption(forward, stack, WHITER * last.absorption)
     forward.record_stacks(stack, [white], seed=seed, progress=progress)
@@ -161,95 +150,53 @@ ENDLESS_MM = 50.0
 
 def _parts(tissue: Tissue, reading: Reading, grid: FloatArray) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """What absorbs in the last layer, as spectra and the sliders that weigh them; the rest is one fixed spectrum."""
-    from livlab import datasets
-
     layer = tissue.layers[-1]
-    at = f"layers.{layer.name}.elements"
     setting = Setting(grid, refractive_index(layer.index, grid, lambda _: None), reading)
     parts: list[dict[str, Any]] = []
     sliders: list[dict[str, Any]] = []
     known = np.zeros_like(grid)
     for name, element in layer.elements.items():
-        path = f"{at}.{name}"
-        word = name.replace("_", " ")
-        if isinstance(element, Blood):
-            table = datasets.load(element.dataset)
-            ends = [
-                chromophores.whole_blood(
-                    s,
-                    table.interpolate(element.hbo2_column, grid, unit="1/(cm M)"),
-                    table.interpolate(element.hb_column, grid, unit="1/(cm M)"),
-                    element.haemoglobin_g_per_l,
-                )
-                for s in (0.0, 1.0)
-            ]
-            parts.append({"kind": "blood", "path": path, "deoxy": _numbers(ends[0]), "oxy": _numbers(ends[1])})
-            sliders += [
-                _slider(f"{path}.fraction", f"{word} fraction", "", 0.002, 0.2, element.fraction, log=True),
-                _slider(f"{path}.oxygenation", "oxygenation", "", 0.0, 1.0, element.oxygenation),
-                _slider(
-                    f"{path}.vessel_radius_um", "vessel radius", "µm", *RADII_UM, element.vessel_radius_um, log=True
-                ),
-            ]
-            whole = ends[0] + element.oxygenation * (ends[1] - ends[0])
-            known += chromophores.blood(element.fraction, whole, um_to_mm(element.vessel_radius_um))
-        elif isinstance(element, Pigment):
-            spectrum = element.spectrum.per_mm(grid, setting.note)
-            parts.append({"kind": "pigment", "path": path, "spectrum": _numbers(spectrum)})
-            sliders.append(_slider(f"{path}.fraction", f"{word} fraction", "", 0.0, 0.1, element.fraction))
-            known += element.fraction * spectrum
-        elif isinstance(element, LawAbsorber):
-            # A law's spectrum is what it absorbs, over its fraction, so that it moves as a table's does.
-            unit = interaction(name, element.with_share(1.0), setting).rate
-            parts.append({"kind": "pigment", "path": path, "spectrum": _numbers(unit)})
-            most = min(1.0, max(0.1, 2.0 * element.fraction))
-            sliders.append(_slider(f"{path}.fraction", f"{word} fraction", "", 0.0, most, element.fraction))
-            known += element.fraction * unit
-        elif isinstance(element, Solute):
-            key, now = "concentration_umol_per_l", element.concentration_umol_per_l
-            unit = interaction(name, element.model_copy(update={key: 1.0}), setting).rate
-            parts.append({"kind": "pigment", "path": path, "key": key, "spectrum": _numbers(unit)})
-            sliders.append(_slider(f"{path}.{key}", word, "µmol/L", 0.0, 3.0 * now if now > 0 else 100.0, now))
-            known += now * unit
-        elif isinstance(element, Mixture):
-            spectra = {n: p.spectrum.per_mm(grid, setting.note) for n, p in element.parts.items()}
-            rest = [n for n, p in element.parts.items() if p.share is None]
-            parts.append(
-                {
-                    "kind": "mixture",
-                    "path": path,
-                    "names": list(spectra),
-                    "rest": rest[0] if rest else "",
-                    "spectra": [_numbers(s) for s in spectra.values()],
-                }
-            )
-            sliders.append(_slider(f"{path}.fraction", word, "", 0.3, 0.95, element.fraction))
-            sliders += [
-                _slider(f"{path}.parts.{n}.share", f"{n} share of it", "", 0.0, 0.6, p.share)
-                for n, p in element.parts.items()
-                if p.share is not None
-            ]
-            known += chromophores.mixture(element.fraction, list(element.shares().values()), list(spectra.values()))
+        found = element.movable_absorption(name, setting)
+        if found is None:
+            continue
+        path = f"layers.{layer.name}.elements.{name}"
+        data = {key: _plain(value) for key, value in found.data.items()}
+        parts.append({"kind": found.formula, "path": path, **data})
+        sliders += [_slider(replace(s, key=f"{path}.{s.key}")) for s in found.sliders]
+        known += found.now
     total = optical_stack(tissue, reading, grid).layers[-1].absorption
     parts.append({"kind": "rest", "path": "", "spectrum": _numbers(np.maximum(total - known, 0.0))})
     return parts, sliders
 
 
-def _slider(
-    path: str, label: str, unit: str, low: float, high: float, value: float, *, log: bool = False
-) -> dict[str, Any]:
+def _plain(value: Any) -> Any:
+    """A value of a part's data for JSON: spectra as numbers, words as they are."""
+    if isinstance(value, np.ndarray):
+        return _numbers(value)
+    return [_plain(x) for x in value] if isinstance(value, list) else value
+
+
+def _slider(s: Slider) -> dict[str, Any]:
     """One slider; its range is widened to hold the value."""
-    low, high = min(low, value if value > 0 or not log else low), max(high, value)
-    return {"path": path, "label": label, "unit": unit, "low": low, "high": high, "value": value, "log": log}
+    low, high = min(s.low, s.value if s.value > 0 or not s.log else s.low), max(s.high, s.value)
+    return {
+        "path": s.key,
+        "label": s.label,
+        "unit": s.unit,
+        "low": low,
+        "high": high,
+        "value": s.value,
+        "log": s.log,
+    }
 
 
-def _scattering(tissue: Tissue, at: str) -> list[dict[str, Any]]:
+def _scattering(tissue: Tissue) -> list[dict[str, Any]]:
     """Sliders of scattering: a factor, and for a power law a change of the exponent."""
-    made = [_slider("scattering.factor", "scattering, × as it is", "", *AMPLITUDES, 1.0, log=True)]
-    found = [e for e in tissue.layers[-1].elements.values() if isinstance(e, PowerLawScatterer | PublishedScatterer)]
-    others = [e for e in tissue.layers[-1].elements.values() if isinstance(e, Cell)]
-    if found and not others:
-        made.append(_slider("scattering.exponent", "scattering exponent, + as it is", "", *EXPONENTS, 0.0))
+    made = [_slider(Slider("scattering.factor", "scattering, × as it is", *AMPLITUDES, 1.0, log=True))]
+    found = [e.movable_scattering() for e in tissue.layers[-1].elements.values()]
+    tilts = [x.tilts for x in found if x is not None]
+    if tilts and all(tilts):
+        made.append(_slider(Slider("scattering.exponent", "scattering exponent, + as it is", *EXPONENTS, 0.0)))
     return made
 
 
@@ -261,27 +208,13 @@ def _law(tissue: Tissue, whole: Tissue) -> dict[str, Any] | None:
     """
     layer, asked = tissue.layers[-1], whole.layers[-1]
     for name, element in layer.elements.items():
-        path = f"layers.{layer.name}.elements.{name}"
-        if isinstance(element, PowerLawScatterer) and element.b is not None:
-            at_500 = element.a_per_cm * (500.0 / element.reference_nm) ** -element.b
-            return {"kind": "power", "path": path, "a_per_cm": at_500, "b": element.b, "anisotropy": element.anisotropy,
-                    "replaces": getattr(asked.elements[name], "replaces", "")}  # fmt: skip
-        if isinstance(element, PublishedScatterer) and element.form == "power":
-            a, b = published_power(element)
-            return {"kind": "power", "path": path, "a_per_cm": a, "b": b, "anisotropy": element.anisotropy,
-                    "replaces": getattr(asked.elements[name], "replaces", "")}  # fmt: skip
-        if isinstance(element, Cell):
-            return {"kind": "cell", "path": f"{path}.fraction", "fraction": element.fraction}
+        found = element.movable_scattering()
+        if found is None or not found.formula:
+            continue
+        path = ".".join(filter(None, (f"layers.{layer.name}.elements.{name}", found.key)))
+        whole_element = {} if found.key else {"replaces": asked.elements[name].stands_in_for}
+        return {"kind": found.formula, "path": path, **(found.data or {}), **whole_element}
     return None
-
-
-def published_power(element: PublishedScatterer) -> tuple[float, float]:
-    """µs' at 500 nm in 1/cm and exponent of a published power law."""
-    from livlab import datasets
-
-    table = datasets.load(element.dataset)
-    row = list(table.columns["reference"]).index(element.reference)
-    return float(table.column("a_musp500_per_cm")[row]), float(table.column("b")[row])
 
 
 def _extremes(
@@ -322,8 +255,6 @@ LEAST = 1e-3
 
 def _with_absorption(forward: LedgerForward, stack: Any, absorption: FloatArray) -> Any:
     """The stack with another absorption of its last layer."""
-    from dataclasses import replace
-
     from livlab.model.tissue.setting import absorber
 
     last = stack.layers[-1]

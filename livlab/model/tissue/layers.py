@@ -11,7 +11,8 @@ from pydantic import Field, StringConstraints, model_validator
 
 from livlab.config.errors import nearest
 from livlab.errors import InputError
-from livlab.model.tissue.elements import Element, Share
+from livlab.model.tissue.elements import Element
+from livlab.model.tissue.elements.base import Share
 from livlab.model.tissue.spectra import Index, Spec, names_of
 
 NAME = r"^[^\s.*\[\]](?:[^.*\[\]]{0,62}[^\s.*\[\]])?$"
@@ -69,7 +70,7 @@ class Layer(Spec):
                         nearest(name, self.elements) or "Add the element to the layer.",
                     )
         for name, element in self.elements.items():
-            replaced = getattr(element, "replaces", "")
+            replaced = element.stands_in_for
             if replaced and replaced not in self.elements:
                 raise InputError.of(
                     f"elements.{name}.replaces",

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from livlab.errors import InputError
-from livlab.model.tissue.elements import Cell, Fibre
-from livlab.model.tissue.interactions import interaction
 from livlab.model.tissue.layers import FlatLayer
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.setting import Setting
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 DENSE = 0.1
-"""Fraction of fibres above which scattering by each alone (no packing correction) is worth a warning."""
+"""Fraction of fibres, say, above which scattering by each alone (no packing correction) is worth a warning."""
 
 
 def optical_stack(tissue: Tissue, reading: Reading, wavelength_nm: Any) -> OpticalStack:
@@ -63,7 +61,7 @@ def optical_stack(tissue: Tissue, reading: Reading, wavelength_nm: Any) -> Optic
     for flat in plain.flat():
         setting = Setting(wavelength, np.empty(0), reading, notes)
         setting.n_medium = refractive_index(flat.index, wavelength, setting.note)
-        parts = tuple(interaction(name, element, setting) for name, element in flat.elements.items())
+        parts = tuple(element.interaction(name, setting) for name, element in flat.elements.items())
         layers.append(PlaneLayer(flat.name, flat.thickness_mm, setting.n_medium, parts))
         _warn_if_dense(flat, setting)
     edge = Setting(wavelength, np.empty(0), reading, notes)
@@ -152,22 +150,25 @@ def _wavelengths(value: Any) -> FloatArray:
 
 
 def _warn_if_dense(layer: FlatLayer, setting: Setting) -> None:
-    share = sum(e.volume_fraction for e in layer.elements.values() if isinstance(e, Fibre))
-    if share > DENSE and setting.reading.fibre_density != "areal":
-        setting.note(
-            f"{layer.name}: fibres fill {share:.0%}; each scatters as if alone (no packing correction), "
-            "which overrates them when dense."
-        )
+    shares: dict[str, float] = {}
+    for element in layer.elements.values():
+        what = element.remarks(setting.reading).alone
+        if what:
+            shares[what] = shares.get(what, 0) + element.share
+    for what, share in shares.items():
+        if share > DENSE:
+            setting.note(
+                f"{layer.name}: {what} fill {share:.0%}; each scatters as if alone (no packing correction), "
+                "which overrates them when dense."
+            )
 
 
 def _warn_about(reading: Reading, tissue: Tissue, setting: Setting) -> None:
     """Notes of what a reading does to this tissue: what it has nothing of is not spoken of."""
-    kinds = {type(e) for layer in tissue.layers for e in layer.elements.values()}
-    if reading.fibre_density == "areal" and Fibre in kinds:
-        setting.note("Fibres: Q f_v has no unit; the number is taken as 1/cm (eq. 6.3, 6.7).")
-    if reading.mie_wavenumber == "vacuum" and Fibre in kinds:
-        setting.note("Fibres: Q with the vacuum's wavenumber (eq. 6.6) is no efficiency.")
+    told = [e.remarks(reading) for layer in tissue.layers for e in layer.elements.values()]
+    for text in (text for x in told for text in x.coefficients):
+        setting.note(text)
     if reading.redirect_factor == "cos":
         setting.note("The factor cos θ has mean zero: scattered light averages to nothing and can be negative.")
-    if reading.hepatocyte_rate == "log10" and Cell in kinds:
-        setting.note("Cells: the penalised free path (eq. 6.19) makes more cells scatter less.")
+    for text in (text for x in told for text in x.walk):
+        setting.note(text)

@@ -7,19 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from livlab.errors import RangeError
-from livlab.model.tissue.elements import Cell, Mixture
-from livlab.model.tissue.interactions import cell_attenuation
 from livlab.model.tissue.layers import Layer
 from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.spectra import FromDatasets, Spec, refractive_index
 from livlab.model.tissue.tissue import Tissue
-from livlab.units import per_mm_to_per_cm
 
 if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS = ("layer", "thickness_mm", "n_500nm", "element", "parameter", "value", "unit", "source")
-_HIDDEN = {"kind", "sources", "replaces"}
+_FRACTIONS = {"volume_fraction", "fraction"}
 
 
 def tissue_table(tissue: Tissue, reading: Reading | None = None) -> pd.DataFrame:
@@ -69,26 +66,12 @@ def tissue_table(tissue: Tissue, reading: Reading | None = None) -> pd.DataFrame
             start = part.to
         profiled = {name for part in layer.profile for name in part.fractions}
         for name, element in layer.elements.items():
-            for key in type(element).model_fields:
-                value = getattr(element, key)
-                if key in _HIDDEN or value is None or (name in profiled and key in {"volume_fraction", "fraction"}):
-                    continue
-                path = f"{root}.elements.{name}.{key}"
-                if isinstance(element, Mixture) and key == "parts":
-                    for part_name, share in element.shares().items():
-                        sub = f"parts.{part_name}"
-                        share_path, spectrum_path = f"{sub}.share", f"{sub}.spectrum"
-                        base = f"{root}.elements.{name}"
-                        add(name, f"{part_name} share", share, "1",
-                            _source(plain, f"{base}.{share_path}", element.sources, share_path))  # fmt: skip
-                        add(name, f"{part_name} spectrum", _shown(element.parts[part_name].spectrum), "",
-                            _source(plain, f"{base}.{spectrum_path}", element.sources, spectrum_path))  # fmt: skip
-                    continue
-                unit = type(element).units.get(key, "")
-                add(name, key, _shown(value), unit, _source(plain, path, element.sources))
-            if reading is not None and isinstance(element, Cell):
-                sigma = per_mm_to_per_cm(cell_attenuation(element, reading))
-                add(name, "geometric attenuation", sigma, "1/cm", f"Nunes 2019, eq. 6.16, {reading.hepatocyte_axes}")
+            for x in element.values():
+                if name not in profiled or x.key not in _FRACTIONS:
+                    source = _source(plain, f"{root}.elements.{name}.{x.key}", element.sources, x.key)
+                    add(name, x.label, _shown(x.value), x.unit, source)
+            for d in () if reading is None else element.remarks(reading).derived:
+                add(name, d.label, d.value, d.unit, d.source)
     return pd.DataFrame(made, columns=list(COLUMNS))
 
 

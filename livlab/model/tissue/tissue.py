@@ -12,7 +12,7 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from livlab.config.errors import explain, nearest
 from livlab.core import markup
 from livlab.errors import ConfigError, InputError
-from livlab.model.tissue.elements import Cell, Element, Fibre, Mixture
+from livlab.model.tissue.elements import Element
 from livlab.model.tissue.layers import FlatLayer, Layer
 from livlab.model.tissue.readings import Reading, Subject, options_of
 from livlab.model.tissue.spectra import Index, Spec, names_of
@@ -116,13 +116,9 @@ class Tissue(Spec):
         published = reading.parenchyma_scattering == "published"
         layers = []
         for layer in made.layers:
-            stand_ins = {n: getattr(x, "replaces", "") for n, x in layer.elements.items()}
+            stand_ins = {n: x.stands_in_for for n, x in layer.elements.items()}
             out = {r for r in stand_ins.values() if r} if published else {n for n, r in stand_ins.items() if r}
-            kept = {
-                n: x.model_copy(update={"replaces": ""}) if stand_ins[n] else x
-                for n, x in layer.elements.items()
-                if n not in out
-            }
+            kept = {n: x.settled() for n, x in layer.elements.items() if n not in out}
             profile = tuple(
                 s.model_copy(update={"fractions": {n: f for n, f in s.fractions.items() if n in kept}})
                 for s in layer.profile
@@ -139,12 +135,8 @@ class Tissue(Spec):
         >>> "hepatocyte_axes" in load_preset("liver").options(), "hepatocyte_axes" in load_preset("skin").options()
         (True, False)
         """
-        elements = [e for layer in self.layers for e in layer.elements.values()]
-        parts: list[Subject] = ["walk"]
-        parts += ["fibres"] if any(isinstance(e, Fibre) for e in elements) else []
-        parts += ["cells"] if any(isinstance(e, Cell) for e in elements) else []
-        parts += ["stand-ins"] if any(getattr(e, "replaces", "") for e in elements) else []
-        return options_of(parts, {key for choice in self.choices for key in choice.when})
+        subjects: set[Subject] = {s for x in self.layers for e in x.elements.values() for s in e.subjects()}
+        return options_of(subjects | {"walk"}, {key for choice in self.choices for key in choice.when})
 
     def dataset_names(self) -> tuple[str, ...]:
         """Datasets that the tissue may need under any reading, sorted."""
@@ -241,14 +233,11 @@ def _rows(name: str, element: Element) -> list[tuple[object, ...]]:
     """Rows of an element in a table: its numbers with unit and source, then the datasets it draws on."""
     title = f"{name} ({element.kind.replace('_', ' ')})"
     rows: list[tuple[object, ...]] = []
-    for key, value in element:
-        if isinstance(value, float):
-            unit = element.units.get(key, "")
-            bare = re.sub(r"_(um|nm|per_cm|g_per_l|umol_per_l)$", "", key).replace("_", " ")
-            rows.append((title, bare, value, "" if unit == "1" else unit, element.sources.get(key, "")))
-    if isinstance(element, Mixture):
-        for part, share in element.shares().items():
-            rows.append((title, f"share of {part}", share, "", element.sources.get(f"parts.{part}.share", "")))
+    for x in element.values():
+        if isinstance(x.value, float):
+            bare = re.sub(r"_(um|nm|per_cm|g_per_l|umol_per_l)$", "", x.label).replace("_", " ")
+            unit = "" if x.unit == "1" else x.unit
+            rows.append((title, x.phrase or bare, x.value, unit, element.sources.get(x.key, "")))
     rows += [(title, "dataset", text, "", "") for text in element.dataset_names()]
     return [("" if k else title, *row[1:]) for k, row in enumerate(rows)]
 
