@@ -10,7 +10,8 @@ import pytest
 from livlab.errors import InputError
 from livlab.model.tissue.phase.functions import HenyeyGreenstein
 from livlab.model.tissue.stack import plain_stack
-from livlab.model.tracer.baselines.models import BaselineOptics, LobeValues, baseline_optics, render_baseline
+from livlab.model.tracer.baselines.models import LobeValues, render_baseline
+from livlab.model.tracer.baselines.optics import BaselineOptics, baseline_optics
 from livlab.model.tracer.variant import mitsuba
 from livlab.model.transport.adding_doubling import adding_doubling
 from livlab.model.transport.diffusion import dipole_profile, dipole_total
@@ -281,12 +282,12 @@ def test_stated_errors_are_the_scatter_over_seeds(mi: Any) -> None:
 
 
 def test_many_passes_are_one_picture(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from livlab.model.tracer.baselines import light as baselines_light
+    from livlab.model.tracer.baselines import pixels
 
     world = mi.load_dict(scene(mi, ball(), lights(mi)["area"], 12), optimize=False)
     whole = render_baseline(world, "body", "lambert", OPTICS, spp=64, seed=1)
     told: list[float] = []
-    monkeypatch.setattr(baselines_light, "PASS_SAMPLES", 100)
+    monkeypatch.setattr(pixels, "PASS_SAMPLES", 100)
     parts = render_baseline(world, "body", "lambert", OPTICS, spp=16, seed=2, on_pass=told.append)
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0)

@@ -14,7 +14,8 @@ from livlab.kinds.picture.scene import OUTER, BodySurfaces, body_mesh, check_lay
 from livlab.model.shapes import creased, distance_field
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer import stage
-from livlab.model.tracer.baselines.models import Name, baseline_optics, render_baseline
+from livlab.model.tracer.baselines.models import BaselineName, render_baseline
+from livlab.model.tracer.baselines.optics import baseline_optics
 from livlab.model.tracer.body import Body
 from livlab.model.tracer.tracer import Tracer
 from livlab.model.tracer.variant import mitsuba
@@ -134,7 +135,7 @@ class PictureCamera:
         found = render_baseline(
             self._scene(outer, MONO),
             OUTER,
-            cast("Name", name),
+            cast("BaselineName", name),
             baseline_optics(stack),
             spp=max(2, spp),
             seed=seed,

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from livlab.errors import InputError
-from livlab.model.tracer.baselines.light import member
+from livlab.model.tracer.baselines.optics import BaselineOptics
+from livlab.model.tracer.baselines.pixels import member
 from livlab.model.transport.diffusion import dipole_profile
 from livlab.model.transport.fresnel import diffuse_fresnel
-from livlab.units import FloatArray
 
 REACH = 16.0
 """Probes reach this many penetration depths 1/σ_tr; what lies beyond is about e⁻¹⁶ of the light."""
@@ -33,28 +34,30 @@ AXES = (0.8, 0.1, 0.1)
 """Chance of a probe along the normal and along each of two tangents."""
 
 
-class Material(Protocol):
-    """What the dipole needs of a material, each (W,)."""
+@dataclass
+class _Probe:
+    """A probe on its way along an axis.
 
-    @property
-    def absorption(self) -> FloatArray:
-        """µ_a in 1/mm."""
-        ...
+    Attributes
+    ----------
+    step, going
+        Crossings so far of any surface, and whether there may be more.
+    choice
+        The random number that keeps one of the crossings.
+    count
+        Crossings of the body's surface.
+    place, normal, facing
+        The one kept, its face's normal and its shading normal.
+    """
 
-    @property
-    def reduced_scattering(self) -> FloatArray:
-        """µ_s' in 1/mm."""
-        ...
-
-    @property
-    def n(self) -> FloatArray:
-        """Refractive index."""
-        ...
-
-    @property
-    def n_above(self) -> FloatArray:
-        """Refractive index around it."""
-        ...
+    ray: Any
+    step: Any
+    going: Any
+    choice: Any
+    count: Any
+    place: Any
+    normal: Any
+    facing: Any
 
 
 class DipoleValues:
@@ -62,7 +65,7 @@ class DipoleValues:
 
     full = False
 
-    def __init__(self, mi: Any, scene: Any, shapes: Sequence[Any], optics: Material, mm_per_unit: float) -> None:
+    def __init__(self, mi: Any, scene: Any, shapes: Sequence[Any], optics: BaselineOptics, mm_per_unit: float) -> None:
         import drjit as dr
 
         self.mi, self.dr, self.shapes = mi, dr, shapes
@@ -129,7 +132,7 @@ class DipoleValues:
         return out
 
     def _probe(self, scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """A point of the surface, its face's normal, its shading normal, and how many points the probe met."""
+        """A point of the surface, its face's normal, its shading normal, and how many points the probe came to."""
         dr, mi = self.dr, self.mi
         frame = mi.Frame3f(si.n)
         u = sampler.next_1d()
@@ -142,42 +145,41 @@ class DipoleValues:
         ray = mi.Ray3f(start, -axis)
         ray.maxt = 2.0 * half
         zero = dr.zeros(mi.Vector3f, dr.width(start))
-
-        def more(ray: Any, step: Any, going: Any, *_: Any) -> Any:
-            return going & (step < MOST_HITS)
-
-        def onwards(
-            ray: Any, step: Any, going: Any, choice: Any, count: Any, place: Any, normal: Any, facing: Any
-        ) -> tuple[Any, ...]:
-            hit = scene.ray_intersect(ray, going)
-            going &= hit.is_valid()
-            here = going & member(mi, hit.shape, self.shapes)
-            count = dr.select(here, count + 1.0, count)
-            # One number decides again and again: given that it was under (over) 1/count, it is uniform there.
-            share = 1.0 / dr.maximum(count, 1.0)
-            take = here & (choice < share)
-            over = (choice - share) / dr.maximum(1.0 - share, 1e-6)
-            choice = dr.select(here, dr.select(take, choice * count, over), choice)
-            place = dr.select(take, hit.p, place)
-            normal = dr.select(take, mi.Vector3f(hit.n), normal)
-            facing = dr.select(take, mi.Vector3f(hit.sh_frame.n), facing)
-            onward = hit.spawn_ray(ray.d)
-            onward.maxt = ray.maxt - hit.t
-            ray = dr.select(going, onward, ray)
-            return ray, step + 1, going, choice, count, place, normal, facing
-
-        state = (
-            ray,
-            dr.zeros(mi.UInt32, dr.width(start)),
-            mi.Bool(active),
-            sampler.next_1d(),
-            dr.zeros(mi.Float, dr.width(start)),
-            zero,
-            mi.Vector3f(zero),
-            mi.Vector3f(zero),
+        probe = _Probe(
+            ray=ray,
+            step=dr.zeros(mi.UInt32, dr.width(start)),
+            going=mi.Bool(active),
+            choice=sampler.next_1d(),
+            count=dr.zeros(mi.Float, dr.width(start)),
+            place=zero,
+            normal=mi.Vector3f(zero),
+            facing=mi.Vector3f(zero),
         )
-        *_, count, place, normal, facing = dr.while_loop(state, more, onwards, label="probe")
-        return place, normal, facing, count
+        probe = dr.while_loop(
+            (probe,), lambda p: p.going & (p.step < MOST_HITS), lambda p: (self._onwards(scene, p),), label="probe"
+        )[0]
+        return probe.place, probe.normal, probe.facing, probe.count
+
+    def _onwards(self, scene: Any, p: _Probe) -> _Probe:
+        """Take a probe to its next crossing of the surface, which it keeps with a chance of 1 in all so far."""
+        dr, mi = self.dr, self.mi
+        hit = scene.ray_intersect(p.ray, p.going)
+        p.going &= hit.is_valid()
+        here = p.going & member(mi, hit.shape, self.shapes)
+        p.count = dr.select(here, p.count + 1.0, p.count)
+        # One number decides again and again: given that it was under (over) 1/count, it is uniform there.
+        chance = 1.0 / dr.maximum(p.count, 1.0)
+        take = here & (p.choice < chance)
+        over = (p.choice - chance) / dr.maximum(1.0 - chance, 1e-6)
+        p.choice = dr.select(here, dr.select(take, p.choice * p.count, over), p.choice)
+        p.place = dr.select(take, hit.p, p.place)
+        p.normal = dr.select(take, mi.Vector3f(hit.n), p.normal)
+        p.facing = dr.select(take, mi.Vector3f(hit.sh_frame.n), p.facing)
+        onward = hit.spawn_ray(p.ray.d)
+        onward.maxt = p.ray.maxt - hit.t
+        p.ray = dr.select(p.going, onward, p.ray)
+        p.step = p.step + 1
+        return p
 
     def _density(self, si: Any, place: Any, normal: Any) -> Any:
         """Chance per area that a probe along any of the axes finds a place."""

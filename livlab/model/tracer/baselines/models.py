@@ -10,96 +10,25 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
-from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.baselines.dipole import DipoleValues
-from livlab.model.tracer.baselines.light import Means, Values, estimate
+from livlab.model.tracer.baselines.optics import BaselineOptics
+from livlab.model.tracer.baselines.pixels import PixelMeans, Values, estimate
 from livlab.model.tracer.variant import mitsuba
-from livlab.model.transport.adding_doubling import adding_doubling
-from livlab.model.transport.moments import reduced_coefficients
 from livlab.units import FloatArray
 
-Name = Literal["lambert", "blinn-phong", "ashikhmin-shirley", "dipole"]
-
-
-@dataclass(frozen=True, eq=False)
-class BaselineOptics:
-    """What the older models need to know of a material, each (W,).
-
-    Attributes
-    ----------
-    wavelength_nm
-        Wavelengths in nm.
-    reflectance
-        Diffuse albedo ρ of Lambert's part, 0 to 1.
-    absorption, reduced_scattering
-        µ_a and µ_s' in 1/mm, for the dipole.
-    n, n_above
-        Refractive indices of the material and of what is around it.
-    """
-
-    wavelength_nm: FloatArray
-    reflectance: FloatArray
-    absorption: FloatArray
-    reduced_scattering: FloatArray
-    n: FloatArray
-    n_above: FloatArray
-
-    def __post_init__(self) -> None:
-        size = np.shape(self.wavelength_nm)
-        for name in ("wavelength_nm", "reflectance", "absorption", "reduced_scattering", "n", "n_above"):
-            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
-            values = np.broadcast_to(values, np.broadcast_shapes(values.shape, size))
-            low, high = (0.0, 1.0) if name == "reflectance" else (0.0, math.inf)
-            if values.ndim != 1 or not np.all(np.isfinite(values) & (values >= low) & (values <= high)):
-                raise InputError.of(
-                    name, values.tolist(), f"must be finite, one a wavelength, {low:g} or more", "Mend it."
-                )
-            object.__setattr__(self, name, values)
-
-    @property
-    def normal_reflectance(self) -> FloatArray:
-        """F₀ = ((n − n_above)/(n + n_above))² of the bare surface at normal incidence."""
-        return np.asarray(((self.n - self.n_above) / (self.n + self.n_above)) ** 2)
-
-
-def baseline_optics(stack: OpticalStack) -> BaselineOptics:
-    """The older models' numbers for a layered tissue.
-
-    The albedo is the tissue's diffuse reflectance at normal incidence, without the surface's own reflection
-    (adding–doubling); the dipole takes its last layer, the parenchyma of a liver, as filling the body.
-
-    Parameters
-    ----------
-    stack
-        The tissue at the picture's wavelengths.
-
-    Raises
-    ------
-    InputError
-        As `adding_doubling`.
-    """
-    absorption, reduced = reduced_coefficients(stack.layers[-1])
-    return BaselineOptics(
-        stack.wavelength_nm,
-        np.clip(adding_doubling(stack, tolerance=1e-4)["reflectance"].to_numpy(), 0.0, 1.0),
-        absorption,
-        reduced,
-        stack.layers[-1].n,
-        stack.n_above,
-    )
+BaselineName = Literal["lambert", "blinn-phong", "ashikhmin-shirley", "dipole"]
 
 
 def render_baseline(
     scene: Any,
     surfaces: str | Sequence[str],
-    name: Name,
+    name: BaselineName,
     optics: BaselineOptics,
     *,
     spp: int = 64,
@@ -161,8 +90,8 @@ def render_baseline(
     mi = mitsuba(variant)
     if not (mi.variant().startswith(("llvm", "cuda")) and "mono" in mi.variant() and "polarized" not in mi.variant()):
         raise InputError.of("variant", mi.variant(), "must be monochromatic and compiled", 'Write "llvm_ad_mono".')
-    if name not in get_args(Name):
-        raise InputError.of("baseline", name, f"must be one of {', '.join(get_args(Name))}", "Pick one.")
+    if name not in get_args(BaselineName):
+        raise InputError.of("baseline", name, f"must be one of {', '.join(get_args(BaselineName))}", "Pick one.")
     for what, value, low in (("spp", spp, 2), ("exponent", exponent, 0), ("mm_per_unit", mm_per_unit, 1e-9)):
         if not (math.isfinite(value) and value >= low):
             raise InputError.of(what, value, f"must be finite and at least {low:g}", "Mend the number.")
@@ -247,7 +176,7 @@ def _weights(name: str, albedo: FloatArray, gloss: FloatArray, as_printed: bool)
     return np.stack([albedo, tint * gloss, tint * (1.0 - gloss)])
 
 
-def _combined(found: Means, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _combined(found: PixelMeans, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(row, column, W) radiance and standard error; what does not belong to the body is the last term."""
     radiance = found.mean[..., :-1] @ weights + found.mean[..., -1:]
     if found.covariance is None:

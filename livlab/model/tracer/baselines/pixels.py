@@ -1,4 +1,4 @@
-"""Pixels for the older models: where their eye rays meet the scene, and means with errors over the samples."""
+"""Pixels for the older models: where their eye rays hit the scene, and means with errors over the samples."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Values(Protocol):
 
 
 @dataclass(frozen=True)
-class Means:
-    """Means over a pixel's samples, the last term being what is not the body's.
+class PixelMeans:
+    """PixelMeans over a pixel's samples, the last term being what is not the body's.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ def estimate(
     seed: int,
     hide_lights: bool,
     on_pass: Callable[[float], None] | None = None,
-) -> Means:
+) -> PixelMeans:
     """Sample every pixel of the scene's first sensor, uniformly over its area.
 
     Parameters
@@ -62,8 +62,9 @@ def estimate(
     shapes
         The body's; `values` is asked there, and every other shape answers with its own material and one light sample.
     """
-    sensor = scene.sensors()[0]
-    width, height = (int(x) for x in sensor.film().size())
+    film = scene.sensors()[0].film()
+    width, height = (int(x) for x in film.size())
+    picture = _Picture(mi, scene, shapes, values, (width, height), hide_lights)
     pixels, terms = width * height, values.terms + 1
     most = min(PASS_SAMPLES, PASS_BYTES // (4 * terms))
     sums = np.zeros((terms, pixels))
@@ -75,7 +76,7 @@ def estimate(
         rows = max(1, min(height, most // (width * now)))
         for first in range(0, height, rows):
             count = min(rows, height - first)
-            got = _pass(mi, scene, sensor, shapes, values, (first, count, width, height), now, seed, k, hide_lights)
+            got = picture.sample(first, count, now, (seed * 8191 + k) % 2**32)
             here = slice(first * width, (first + count) * width)
             sums[:, here] += got.sum(axis=2)
             for i in range(terms):
@@ -95,7 +96,7 @@ def estimate(
         upper = np.triu(np.ones((terms, terms), dtype=bool))[..., None]
         spread = np.where(upper, spread, spread.transpose(1, 0, 2)) * scale
         covariance = np.moveaxis(spread.reshape(terms, terms, *shape), (0, 1), (2, 3))
-    return Means(
+    return PixelMeans(
         np.moveaxis(mean.reshape(terms, *shape), 0, 2),
         np.moveaxis((own * scale).reshape(terms, *shape), 0, 2),
         covariance,
@@ -110,47 +111,49 @@ def member(mi: Any, shape: Any, shapes: Sequence[Any]) -> Any:
     return found
 
 
-def _pass(
-    mi: Any,
-    scene: Any,
-    sensor: Any,
-    shapes: Sequence[Any],
-    values: Values,
-    window: tuple[int, int, int, int],
-    spp: int,
-    seed: int,
-    number: int,
-    hide_lights: bool,
-) -> FloatArray:
-    """(terms, pixels, spp) values of some rows."""
-    import drjit as dr
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """What is sampled: a scene through its first sensor, a body of some shapes in it, and the body's model."""
 
-    first, count, width, height = window
-    pixels = count * width
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed((seed * 8191 + number) % 2**32, pixels * spp)
-    pixel = dr.arange(mi.UInt32, pixels * spp) // dr.opaque(mi.UInt32, spp)
-    row = pixel // dr.opaque(mi.UInt32, width)
-    column = pixel - row * dr.opaque(mi.UInt32, width)
-    at = mi.Point2f(mi.Float(column), mi.Float(row + dr.opaque(mi.UInt32, first))) + sampler.next_2d()
-    at = at / mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height))
-    ray, weight = sensor.sample_ray(0.0, sampler.next_1d(), at, sampler.next_2d())
-    si = scene.ray_intersect(ray)
-    body = si.is_valid() & member(mi, si.shape, shapes)
-    made = [x * weight[0] for x in values(scene, si, sampler, body)]
-    made.append(_other(mi, dr, scene, si, ray, sampler, ~body, hide_lights) * weight[0])
-    dr.eval(made)
-    return np.stack([np.array(x, dtype=np.float64).reshape(pixels, spp) for x in made])
+    mi: Any
+    scene: Any
+    shapes: Sequence[Any]
+    values: Values
+    size: tuple[int, int]
+    hide_lights: bool
 
+    def sample(self, first: int, count: int, spp: int, seed: int) -> FloatArray:
+        """(terms, pixels, spp) values of `count` rows from the first."""
+        import drjit as dr
 
-def _other(mi: Any, dr: Any, scene: Any, si: Any, ray: Any, sampler: Any, active: Any, hide_lights: bool) -> Any:
-    """Radiance of what is not the body: lights in view, and other objects lit directly and once."""
-    hit = active & si.is_valid()
-    light, weight = scene.sample_emitter_direction(si, sampler.next_2d(), True, hit)
-    lit = hit & (light.pdf != 0.0)
-    value = si.bsdf(ray).eval(mi.BSDFContext(), si, si.to_local(light.d), lit)[0]
-    total = dr.select(lit, value * weight[0], 0.0)
-    if not hide_lights:
-        emitter = si.emitter(scene)
-        total += dr.select(active & (emitter != None), emitter.eval(si, active)[0], 0.0)  # noqa: E711
-    return total
+        mi, scene, (width, height) = self.mi, self.scene, self.size
+        pixels = count * width
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, pixels * spp)
+        pixel = dr.arange(mi.UInt32, pixels * spp) // dr.opaque(mi.UInt32, spp)
+        row = pixel // dr.opaque(mi.UInt32, width)
+        column = pixel - row * dr.opaque(mi.UInt32, width)
+        at = mi.Point2f(mi.Float(column), mi.Float(row + dr.opaque(mi.UInt32, first))) + sampler.next_2d()
+        at = at / mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height))
+        ray, weight = scene.sensors()[0].sample_ray(0.0, sampler.next_1d(), at, sampler.next_2d())
+        si = scene.ray_intersect(ray)
+        body = si.is_valid() & member(mi, si.shape, self.shapes)
+        made = [x * weight[0] for x in self.values(scene, si, sampler, body)]
+        made.append(self._other(si, ray, sampler, ~body) * weight[0])
+        dr.eval(made)
+        return np.stack([np.array(x, dtype=np.float64).reshape(pixels, spp) for x in made])
+
+    def _other(self, si: Any, ray: Any, sampler: Any, active: Any) -> Any:
+        """Radiance of what is not the body: lights in view, and other objects lit directly and once."""
+        import drjit as dr
+
+        mi, scene = self.mi, self.scene
+        hit = active & si.is_valid()
+        light, weight = scene.sample_emitter_direction(si, sampler.next_2d(), True, hit)
+        lit = hit & (light.pdf != 0.0)
+        value = si.bsdf(ray).eval(mi.BSDFContext(), si, si.to_local(light.d), lit)[0]
+        total = dr.select(lit, value * weight[0], 0.0)
+        if not self.hide_lights:
+            emitter = si.emitter(scene)
+            total += dr.select(active & (emitter != None), emitter.eval(si, active)[0], 0.0)  # noqa: E711
+        return total
