@@ -1,4 +1,4 @@
-"""Lamps asked for through a refracting surface, against paths that meet them by chance and against beams.
+"""Next-event estimation through a refracting surface, against paths that hit lamps by chance and against beams.
 
 Differences are held within four standard errors whose size, as part of the value, is bounded.
 """
@@ -33,9 +33,9 @@ def mi() -> Any:
     return mitsuba("llvm_ad_spectral")
 
 
-def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, ask: bool = True) -> tuple[float, float]:
-    """Mean over the picture and its standard error; without asking, lamps are met by chance alone."""
-    tracer = Tracer(scene, body.stack.wavelength_nm, body, next_event=ask)
+def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, next_event: bool = True) -> tuple[float, float]:
+    """Mean over the picture and its standard error; without next-event estimation, lamps are hit by chance alone."""
+    tracer = Tracer(scene, body.stack.wavelength_nm, body, next_event=next_event)
     rows = spp // 16
     total, squares = tracer.launch(rows, 16, seed, 0)
     assert tracer.troubles["given_up"] == 0
@@ -69,14 +69,14 @@ SLOW = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("mesh", "thin me
 
 
 @pytest.mark.parametrize("kind", ["thin", "dense", "nested", "depth", *SLOW])
-def test_a_lamp_asked_for_is_as_bright_as_one_met_by_chance(mi: Any, kind: str) -> None:
+def test_a_sampled_lamp_is_as_bright_as_one_hit_by_chance(mi: Any, kind: str) -> None:
     shapes, body = bodies(mi, kind)
     lamp = {"lamp": stage.rectangle_light(mi, [1, 1, 4], [0, 0, 0], [4, 4], 1.5)}
     scene = view(mi, lamp, shapes)
-    asked, met = mean(scene, body, 8192, 1), mean(scene, body, 32768, 2, ask=False)
-    error = float(np.hypot(asked[1], met[1]))
-    assert error < 0.015 * met[0], error / met[0]
-    assert abs(asked[0] - met[0]) < 4 * error, (asked[0] - met[0]) / error
+    sampled, hit = mean(scene, body, 8192, 1), mean(scene, body, 32768, 2, next_event=False)
+    error = float(np.hypot(sampled[1], hit[1]))
+    assert error < 0.015 * hit[0], error / hit[0]
+    assert abs(sampled[0] - hit[0]) < 4 * error, (sampled[0] - hit[0]) / error
 
 
 def test_lamps_among_each_other_and_even_light_add_up(mi: Any) -> None:

@@ -34,9 +34,9 @@ def coated(g: float) -> OpticalStack:
     return plain_stack([(1.35, 0.0, 200.0, 0.085, HenyeyGreenstein(g)), BULK])
 
 
-def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, ask: bool = True) -> tuple[float, float]:
-    """Mean over the picture and its standard error; without asking, lamps are met by chance alone."""
-    tracer = Tracer(scene, body.stack.wavelength_nm, body, next_event=ask)
+def mean(scene: dict[str, Any], body: Body, spp: int, seed: int, *, next_event: bool = True) -> tuple[float, float]:
+    """Mean over the picture and its standard error; without next-event estimation, lamps are hit by chance alone."""
+    tracer = Tracer(scene, body.stack.wavelength_nm, body, next_event=next_event)
     total, squares = tracer.launch(spp, 1, seed, 0)
     value = total / spp
     variance = np.maximum(squares / spp - value**2, 0.0) / (spp - 1)
@@ -51,7 +51,9 @@ def ball() -> tuple[TriangleMesh, Any]:
 
 
 @pytest.mark.parametrize("g", [0.95, 0.99])
-def test_a_lamp_asked_for_on_a_curved_body_is_one_met(mi: Any, ball: tuple[TriangleMesh, Any], g: float) -> None:
+def test_a_sampled_lamp_on_a_curved_body_is_one_hit_by_chance(
+    mi: Any, ball: tuple[TriangleMesh, Any], g: float
+) -> None:
     mesh, field = ball
     scene = {
         "type": "scene",
@@ -62,10 +64,10 @@ def test_a_lamp_asked_for_on_a_curved_body_is_one_met(mi: Any, ball: tuple[Trian
         ),
     }
     body = Body(coated(g), "ball", field)
-    asked, met = mean(scene, body, 8192, 1), mean(scene, body, 8192, 2, ask=False)
-    error = float(np.hypot(asked[1], met[1]))
-    assert error < 0.008 * met[0], error / met[0]
-    assert abs(asked[0] - met[0]) < 4 * error, (asked[0] - met[0]) / error
+    sampled, hit = mean(scene, body, 8192, 1), mean(scene, body, 8192, 2, next_event=False)
+    error = float(np.hypot(sampled[1], hit[1]))
+    assert error < 0.008 * hit[0], error / hit[0]
+    assert abs(sampled[0] - hit[0]) < 4 * error, (sampled[0] - hit[0]) / error
 
 
 def test_on_flat_layers_a_lamp_is_as_bright_as_adding_doubling_has_it(mi: Any) -> None:

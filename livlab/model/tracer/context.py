@@ -12,8 +12,8 @@ from typing import Any
 from livlab.model.tracer.flight import Flight, Flights
 from livlab.model.tracer.lights import Lights
 from livlab.model.tracer.medium import Medium
-from livlab.model.tracer.state import State
-from livlab.model.tracer.surface import Hit, Surface, others
+from livlab.model.tracer.state import PathState
+from livlab.model.tracer.surface import Hit, Surface, other_shapes
 from livlab.model.transport import rng as random
 from livlab.model.transport.device import Device
 
@@ -93,7 +93,7 @@ class Context:
         self.medium, self.flights, self.lights = medium, flights, lights
         self.camera, self.size, self.options = camera, size, options
         self.surface, self.interfaces = Surface(d, mi, scene, shapes), len(shapes)
-        self.others = others(d, mi, scene, shapes)
+        self.others = other_shapes(d, mi, scene, shapes)
         self.fence: Callable[[Any], Any] | None = None
         self.max_steps = d.dr.opaque(mi.UInt32, options.max_steps)
         self.least = d.dr.opaque(mi.Float, 0.01 * CREEP * size)
@@ -104,17 +104,17 @@ class Context:
         self.short = medium is not None and medium.short
         self.field = flights is not None and flights.field is not None
 
-    def uniform(self, s: State) -> Any:
+    def uniform(self, s: PathState) -> Any:
         """The lanes' next random numbers in [0, 1)."""
         return random.uniform(self.d, s.stream.next_uint32())
 
-    def account(self, s: State, flight: Flight, path: Any) -> None:
-        """Enter a step into the ledger."""
+    def record_step(self, s: PathState, flight: Flight, path: Any) -> None:
+        """Add a step to the path's sums."""
         assert self.flights is not None and self.medium is not None
         s.covered = s.covered - path
         if self.medium.several:
             parts = self.flights.lengths(flight, path)
-            s.ledger.lengths = [x + y for x, y in zip(s.ledger.lengths, parts, strict=True)]
+            s.throughput.lengths = [x + y for x, y in zip(s.throughput.lengths, parts, strict=True)]
 
     def nudge(self, p: Any) -> Any:
         """More than a point can be off by rounding."""
@@ -126,7 +126,7 @@ class Context:
         dr = self.dr
         return self.nudge(p) * dr.rcp(dr.maximum(dr.abs(dr.dot(hit.facet, hit.ray.d)), GRAZING))
 
-    def leaves(self, s: State, hit: Hit) -> Any:
+    def leaves(self, s: PathState, hit: Hit) -> Any:
         """Whether a hit from inside is of an interface of the path's own region, from the right side."""
         if self.interfaces == 1:
             return ~hit.outward

@@ -10,7 +10,7 @@ from typing import Any
 from livlab.model.tracer.body import Body
 from livlab.model.tracer.field import Field
 from livlab.model.tracer.medium import Medium
-from livlab.model.tracer.state import Place, State
+from livlab.model.tracer.state import PathState, Place
 
 FAR = 1e30
 BEND = 0.02
@@ -31,8 +31,8 @@ class Flight:
     ----------
     reach
         Its length.
-    meets, layer, within
-        Whether it ends in a meeting, in which layer, and how far it then was in that layer since its last draw.
+    collides, layer, within
+        Whether it ends in a collision, in which layer, and how far it then was in that layer since its last draw.
     barrier
         Whether it ends at an interface between layers, told by depth.
     spans
@@ -40,7 +40,7 @@ class Flight:
     """
 
     reach: Any
-    meets: Any
+    collides: Any
     layer: Any
     within: Any
     barrier: Any
@@ -69,7 +69,7 @@ class Flights:
         self.patch, self.thickness = one(float(patch)), one(float(thickness))
         self.slack = one(float((field.slack if field else 0.0) + BEND * thickness))
 
-    def free(self, s: State, tau: Any) -> tuple[Any, Any]:
+    def free(self, s: PathState, tau: Any) -> tuple[Any, Any]:
         """Layer and free path where a region is one layer."""
         dr, mi, medium = self.dr, self.mi, self.medium
         layer = s.medium - 1 if medium.m.layers > 1 else mi.UInt32(0)
@@ -77,20 +77,20 @@ class Flights:
         rate = medium.pick(layer, rates[: medium.m.layers])
         return layer, dr.minimum(tau * dr.rcp(dr.maximum(rate, 1e-30)), FAR)
 
-    def fly(self, s: State) -> Flight:
-        """Follow a ray until its optical depth is spent, an interface is met, or what is known of the depth ends."""
+    def fly(self, s: PathState) -> Flight:
+        """Follow a ray until its optical depth is spent, an interface comes, or what is known of the depth ends."""
         dr, mi, medium = self.dr, self.mi, self.medium
         m, place = medium.m, s.place
         if not self.layered:
             layer, free = self.free(s, s.tau)
-            meets = free < FAR
+            collides = free < FAR
             inf = mi.Float(FAR)
             spans = [
                 (dr.select(layer == k, 0.0, inf), inf) if m.layers > 1 else (mi.Float(0.0), inf)
                 for k in range(m.layers)
             ]
             within = free + place.since if medium.short else free
-            return Flight(free, meets, layer, within, mi.Bool(False), spans, mi.Float(0.0))
+            return Flight(free, collides, layer, within, mi.Bool(False), spans, mi.Float(0.0))
         region = s.medium - 1
         slope = dr.dot(s.d, place.inward)
         down = slope > 0.0
@@ -119,7 +119,7 @@ class Flights:
         for x in depths:
             before.append(total)
             total = total + x
-        meets = s.tau < total
+        collides = s.tau < total
         layer, start, left, rate = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(1.0)
         for k, x in enumerate(depths):
             first = dr.select(down, before[k], total - before[k] - x)
@@ -130,12 +130,12 @@ class Flights:
             left = dr.select(here, s.tau - first, left)
             rate = dr.select(here, rates[k], rate)
         path = left * dr.rcp(rate)
-        reach = dr.select(meets, dr.minimum(start + path, limit), limit)
+        reach = dr.select(collides, dr.minimum(start + path, limit), limit)
         within = dr.select(start > 0.0, path, path + place.since) if medium.short else path
-        barrier = ~meets & (to_barrier <= horizon)
-        return Flight(reach, meets, layer, within, barrier, spans, slope)
+        barrier = ~collides & (to_barrier <= horizon)
+        return Flight(reach, collides, layer, within, barrier, spans, slope)
 
-    def settle(self, s: State, flight: Flight, walks: Any) -> tuple[Any, Any, Any, Any, Place]:
+    def settle(self, s: PathState, flight: Flight, walks: Any) -> tuple[Any, Any, Any, Any, Place]:
         """What comes of a flight: whether it holds, needs a ray cast, or ends outside; how far it goes, and the place.
 
         The points within its clearance of either end of a flight are inside; if the two together are longer than the
@@ -201,6 +201,6 @@ class Flights:
         """Keep account of a step."""
         since = place.since + path if self.medium.short else ()
         if self.field is None:
-            return Place((), place.inward, (), (), since)
+            return Place(inward=place.inward, since=since)
         depth = place.depth + flight.slope * path if self.layered else place.depth
         return Place(depth, place.inward, place.trust - path, place.clear - path, since)

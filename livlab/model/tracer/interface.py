@@ -1,18 +1,18 @@
-"""What happens at an interface: reflection or refraction, and how the ledger takes it."""
+"""What happens at an interface: reflection or refraction, and how the path's sums take it."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from livlab.model.tracer.context import Context
-from livlab.model.tracer.state import WALK, State
+from livlab.model.tracer.state import WALK, PathState
 from livlab.model.tracer.surface import Hit
 
 MIRRORED = 0.2
 """Share of the camera's rays that the first surface mirrors."""
 
 
-def cross_layers(context: Context, s: State, barrier: Any) -> State:
+def cross_layers(context: Context, s: PathState, barrier: Any) -> PathState:
     """Reflect or refract at an interface between layers that the depth tells."""
     dr, mi, m = context.dr, context.mi, context.medium
     assert m is not None
@@ -25,7 +25,7 @@ def cross_layers(context: Context, s: State, barrier: Any) -> State:
     reflectance = dr.gather(mi.Float, m.reflectance, row * m.m.padded + s.hero, barrier)
     reflects = context.uniform(s) < reflectance
     s.d = dr.select(barrier, dr.select(reflects, bounced, bent), s.d)
-    _enter(context, s, row, reflects, barrier, interface)
+    _record(context, s, row, reflects, barrier, interface)
     s.medium = dr.select(barrier & ~reflects, dr.select(up, interface, interface + 1), s.medium)
     s.covered = dr.select(barrier & reflects, 0.0, s.covered)
     place.depth = dr.select(barrier, m.pick(interface, m.region_top), place.depth)
@@ -35,11 +35,11 @@ def cross_layers(context: Context, s: State, barrier: Any) -> State:
     return s
 
 
-def cross(context: Context, s: State, hit: Hit, enters: Any, exits: Any, lost: Any) -> State:
-    """Reflect or refract at a surface that a ray has met; or leave where a path finds itself outside."""
+def cross(context: Context, s: PathState, hit: Hit, enters: Any, exits: Any, lost: Any) -> PathState:
+    """Reflect or refract at a surface that a ray has hit; or leave where a path finds itself outside."""
     dr, mi, m, place = context.dr, context.mi, context.medium, s.place
     assert m is not None and context.flights is not None
-    ledger = s.ledger
+    throughput = s.throughput
     exits = exits | lost
     any_ = enters | exits
     interface, upwards = mi.UInt32(0), exits
@@ -68,17 +68,17 @@ def cross(context: Context, s: State, hit: Hit, enters: Any, exits: Any, lost: A
     s.d = dr.select(any_, dr.select(reflects, bounced, bent), s.d)
     chance = dr.rcp(dr.select(reflects, mirrored, 1.0 - mirrored))
     if m.first:
-        ledger.first = dr.select(first, 2 * row + dr.select(reflects, mi.UInt32(0), 1), ledger.first)
+        throughput.first = dr.select(first, 2 * row + dr.select(reflects, mi.UInt32(0), 1), throughput.first)
     else:
         chance = chance * dr.select(reflects, reflectance, 1.0 - reflectance)
-    ledger.common = dr.select(first, ledger.common * chance, ledger.common)
-    _enter(context, s, row, reflects, any_ & ~first, interface)
+    throughput.common = dr.select(first, throughput.common * chance, throughput.common)
+    _record(context, s, row, reflects, any_ & ~first, interface)
     through = any_ & ~reflects
     after = dr.select(upwards, interface, interface + 1)
     s.medium = dr.select(through, after, s.medium)
     s.covered = dr.select((any_ & reflects) | enters, 0.0, s.covered)
     if context.others:
-        s.bounce.density = dr.select(any_, 0.0, s.bounce.density)
+        s.bounce.pdf = dr.select(any_, 0.0, s.bounce.pdf)
     if context.field:
         # At the surface its depth is known: nothing to look up.
         place.depth = dr.select(any_, 0.0, place.depth)
@@ -94,7 +94,7 @@ def cross(context: Context, s: State, hit: Hit, enters: Any, exits: Any, lost: A
     return s
 
 
-def _ratio(context: Context, s: State, interface: Any, upwards: Any, active: Any) -> Any:
+def _ratio(context: Context, s: PathState, interface: Any, upwards: Any, active: Any) -> Any:
     """Index before an interface over that behind it."""
     dr, mi, m = context.dr, context.mi, context.medium
     assert m is not None
@@ -103,15 +103,15 @@ def _ratio(context: Context, s: State, interface: Any, upwards: Any, active: Any
     return dr.select(upwards, below * dr.rcp(above), above * dr.rcp(below))
 
 
-def _enter(context: Context, s: State, row: Any, reflects: Any, active: Any, interface: Any) -> None:
-    """Enter a choice of Fresnel's into the ledger where its chance differs by wavelength."""
+def _record(context: Context, s: PathState, row: Any, reflects: Any, active: Any, interface: Any) -> None:
+    """Add a choice of Fresnel's to the path's sums where its chance differs by wavelength."""
     dr, mi, m = context.dr, context.mi, context.medium
     assert m is not None
     if m.vector and any(m.m.dispersive):
         add = active & m.pick(interface, [mi.Bool(x) for x in m.m.dispersive])
         # Where nothing is crossed the row is none of the table's.
         found = m.packet(m.log_fresnel, 2 * row + dr.select(reflects, mi.UInt32(0), 1), m.m.padded, add)
-        s.ledger.rows = [x + dr.select(add, r, 0.0) for x, r in zip(s.ledger.rows, found, strict=False)]
+        s.throughput.rows = [x + dr.select(add, r, 0.0) for x, r in zip(s.throughput.rows, found, strict=False)]
 
 
 def _turned(dr: Any, d: Any, normal: Any, eta: Any) -> tuple[Any, Any, Any]:

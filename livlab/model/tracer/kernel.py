@@ -1,7 +1,7 @@
 """The tracer's loop: each lane follows paths from the camera through a scene with a body of tissue, one after another.
 
-A step does for every lane what its stroll could not: it casts a ray, for a lane outside or one inside whose flight may
-reach the surface, reflects or refracts what came to an interface, and adds the light that was met or asked for.
+A step does for every lane what its interior walk could not: it casts a ray, for a lane outside or one inside whose
+flight may reach the surface, reflects or refracts what came to an interface, and adds light that was hit or sampled.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from typing import Any
 from livlab.model.tracer.context import Context
 from livlab.model.tracer.flight import Flight
 from livlab.model.tracer.interface import cross
-from livlab.model.tracer.interior import stroll
+from livlab.model.tracer.interior import interior_walk
 from livlab.model.tracer.medium import NONE
-from livlab.model.tracer.next_event import Asked, Peel
+from livlab.model.tracer.next_event import DirectLight, NextEvent
 from livlab.model.tracer.objects import Objects
 from livlab.model.tracer.state import (
-    ASK,
-    BARRIER,
     CAST,
+    COLLIDE,
     END,
+    INTERFACE,
     LOST,
-    MET,
-    OUT,
-    TURN,
+    NEXT_EVENT,
+    OUTSIDE,
+    SCATTER,
     WALK,
-    Aim,
-    Ledger,
-    Meeting,
+    Collision,
+    LampSample,
+    PathState,
     Place,
-    State,
+    Throughput,
 )
 from livlab.model.tracer.surface import FAR, Hit
 from livlab.model.transport import rng as random
 
 
 @dataclass(frozen=True)
-class Plan:
+class LaunchPlan:
     """What a launch does.
 
     Attributes
@@ -60,61 +60,79 @@ class Kernel:
 
     def __init__(self, context: Context) -> None:
         self.context, self.mi, self.dr = context, context.mi, context.dr
-        self.peel = Peel(context) if context.next_event else None
+        self.next_event = NextEvent(context) if context.next_event else None
         self.objects = Objects(context) if context.others else None
 
-    def start(self, stream: Any, n: int) -> State:
+    def start(self, stream: Any, n: int) -> PathState:
         """Lanes that are about to begin their first path."""
-        dr, mi, m = self.dr, self.mi, self.context.medium
+        dr, mi, context = self.dr, self.mi, self.context
         zero, none = partial(dr.zeros, mi.Float, n), partial(dr.zeros, mi.UInt32, n)
-        place = Place((), (), (), (), zero() if self.context.short else ())
-        if self.context.field:
-            place = Place(zero(), dr.zeros(mi.Vector3f, n), zero(), zero(), place.since)
-        elif self.peel is not None:
-            place.inward = dr.zeros(mi.Vector3f, n)
-        ledger = Ledger([], [], [], (), (), zero() + 1.0, [])
-        meeting, aim, tau = Meeting((), (), (), (), (), (), ()), Aim((), (), (), ()), ()
-        if m is not None:
-            tau = zero()
-            ledger.lengths = [zero() for _ in range(m.m.layers)] if m.several else []
-            ledger.counts = [zero() for _ in m.counted]
-            ledger.rows = [zero() for _ in range(self.context.width)] if m.vector else []
-            ledger.forced = none() if self.context.forces else ()
-            ledger.first = none() if m.first else ()
-            meeting.layer = none()
-            meeting.within = zero() if m.short else ()
-        if self.objects is not None:
-            ledger.carried = [zero() + 1.0 for _ in range(self.context.width)]
-        if self.peel is not None:
-            turned = zero() if self.peel.shares.needed else ()
-            meeting = Meeting(meeting.layer, meeting.within, zero(), zero(), zero(), zero(), turned)
-            aim = Aim(none(), dr.zeros(mi.Point2f, n), dr.zeros(mi.Point3f, n), dr.full(mi.Bool, False, n))
-        return self.renew(
-            State(
-                stream,
-                dr.arange(mi.UInt32, n),
-                none(),
-                none(),
-                none(),
-                none(),
-                tau,
-                dr.zeros(mi.Point3f, n),
-                dr.zeros(mi.Vector3f, n),
-                place,
-                meeting,
-                aim,
-                ledger,
-                dr.full(mi.Bool, True, n),
-                zero(),
-                self.objects.start(n) if self.objects is not None else (),
-                [zero() for _ in range(self.context.width)],
-                none(),
-                none(),
-            ),
-            dr.full(mi.Bool, True, n),
+        lamp = LampSample()
+        if self.next_event is not None:
+            lamp = LampSample(
+                number=none(),
+                sample=dr.zeros(mi.Point2f, n),
+                spot=dr.zeros(mi.Point3f, n),
+                distant=dr.full(mi.Bool, False, n),
+            )
+        state = PathState(
+            stream=stream,
+            row=dr.arange(mi.UInt32, n),
+            sample=none(),
+            hero=none(),
+            medium=none(),
+            pending=none(),
+            tau=zero() if context.medium is not None else (),
+            p=dr.zeros(mi.Point3f, n),
+            d=dr.zeros(mi.Vector3f, n),
+            place=self._place(n),
+            collision=self._collision(n),
+            lamp=lamp,
+            throughput=self._throughput(n),
+            fresh=dr.full(mi.Bool, True, n),
+            covered=zero(),
+            bounce=self.objects.start(n) if self.objects is not None else (),
+            light=[zero() for _ in range(context.width)],
+            steps=none(),
+            troubles=none(),
         )
+        return self.renew(state, dr.full(mi.Bool, True, n))
 
-    def renew(self, s: State, done: Any) -> State:
+    def _place(self, n: int) -> Place:
+        dr, mi, context = self.dr, self.mi, self.context
+        zero = partial(dr.zeros, mi.Float, n)
+        place = Place(since=zero() if context.short else ())
+        if context.field:
+            place.depth, place.trust, place.clear = zero(), zero(), zero()
+        if context.field or self.next_event is not None:
+            place.inward = dr.zeros(mi.Vector3f, n)
+        return place
+
+    def _collision(self, n: int) -> Collision:
+        zero, collision = partial(self.dr.zeros, self.mi.Float, n), Collision()
+        if self.context.medium is not None:
+            collision.layer = self.dr.zeros(self.mi.UInt32, n)
+            collision.within = zero() if self.context.short else ()
+        if self.next_event is not None:
+            collision.code, collision.g, collision.base, collision.probability = zero(), zero(), zero(), zero()
+            collision.pdf = zero() if self.next_event.weights.needed else ()
+        return collision
+
+    def _throughput(self, n: int) -> Throughput:
+        zero, none = partial(self.dr.zeros, self.mi.Float, n), partial(self.dr.zeros, self.mi.UInt32, n)
+        m, width = self.context.medium, self.context.width
+        sums = Throughput(common=zero() + 1.0)
+        if m is not None:
+            sums.lengths = [zero() for _ in range(m.m.layers)] if m.several else []
+            sums.counts = [zero() for _ in m.counted]
+            sums.rows = [zero() for _ in range(width)] if m.vector else []
+            sums.forced = none() if self.context.forces else ()
+            sums.first = none() if m.first else ()
+        if self.objects is not None:
+            sums.carried = [zero() + 1.0 for _ in range(width)]
+        return sums
+
+    def renew(self, s: PathState, done: Any) -> PathState:
         """A new ray of the camera in the lanes whose path has ended."""
         dr, mi, m = self.dr, self.mi, self.context.medium
         choose = partial(dr.select, done)
@@ -123,22 +141,22 @@ class Kernel:
             u = self.context.uniform(s)
             s.hero = choose(dr.minimum(mi.UInt32(u * self.context.width), self.context.width - 1), s.hero)
         s.p, s.d = choose(origin, s.p), choose(direction, s.d)
-        s.medium, s.steps, s.pending = choose(0, s.medium), choose(0, s.steps), choose(OUT, s.pending)
+        s.medium, s.steps, s.pending = choose(0, s.medium), choose(0, s.steps), choose(OUTSIDE, s.pending)
         s.fresh, s.covered = s.fresh | done, choose(0.0, s.covered)
-        ledger = s.ledger
-        ledger.common = choose(1.0, ledger.common)
+        throughput = s.throughput
+        throughput.common = choose(1.0, throughput.common)
         if self.objects is not None:
-            ledger.carried = [choose(1.0, x) for x in ledger.carried]
-            s.bounce.density, s.bounce.count = choose(0.0, s.bounce.density), choose(0, s.bounce.count)
+            throughput.carried = [choose(1.0, x) for x in throughput.carried]
+            s.bounce.pdf, s.bounce.count = choose(0.0, s.bounce.pdf), choose(0, s.bounce.count)
         if m is not None:
-            ledger.lengths = [choose(0.0, x) for x in ledger.lengths]
-            ledger.counts = [choose(0.0, x) for x in ledger.counts]
-            ledger.rows = [choose(0.0, x) for x in ledger.rows]
-            ledger.forced = choose(m.m.layers, ledger.forced) if self.context.forces else ()
-            ledger.first = choose(NONE, ledger.first) if m.first else ()
+            throughput.lengths = [choose(0.0, x) for x in throughput.lengths]
+            throughput.counts = [choose(0.0, x) for x in throughput.counts]
+            throughput.rows = [choose(0.0, x) for x in throughput.rows]
+            throughput.forced = choose(m.m.layers, throughput.forced) if self.context.forces else ()
+            throughput.first = choose(NONE, throughput.first) if m.first else ()
         return s
 
-    def trace(self, film: Any, plan: Plan, seed: int, number: int) -> Any:
+    def trace(self, film: Any, plan: LaunchPlan, seed: int, number: int) -> Any:
         """Follow all samples of a plan; adds radiance to the film's rows and returns the lanes' troubles."""
         dr, mi = self.dr, self.mi
         stream = random.streams(self.context.d, plan.lanes, seed, number)
@@ -155,56 +173,55 @@ class Kernel:
         dr.eval(state.troubles, film)
         return state.troubles
 
-    def step(self, s: State, film: Any) -> State:
-        """Stroll, then do what the lanes need."""
+    def step(self, s: PathState, film: Any) -> PathState:
+        """Walk inside, then do what the lanes need."""
         dr, mi = self.dr, self.mi
         flight: Flight | None = None
-        longest, cast = mi.Float(FAR), s.pending == OUT
+        longest, cast = mi.Float(FAR), s.pending == OUTSIDE
         if self.context.flights is not None:
-            s = stroll(self.context, self.peel, s)
-            cast = (s.pending == OUT) | (s.pending == CAST)
+            s = interior_walk(self.context, self.next_event, s)
+            cast = (s.pending == OUTSIDE) | (s.pending == CAST)
             flight = self.context.flights.fly(s)
             if self.context.flights.layered:
-                longest = dr.select(s.pending == OUT, longest, flight.reach)
+                longest = dr.select(s.pending == OUTSIDE, longest, flight.reach)
         ray = mi.Ray3f(s.p, s.d)
         ray.maxt = longest
-        hit = self.context.surface.meet(ray, cast)
-        out = s.pending == OUT
-        met = out & hit.other
-        shares = self.peel.shares.met(s) if self.peel is not None else None
-        seen = self.context.lights.seen(s, out & ~hit.valid, met, hit, shares)
+        hit = self.context.surface.intersect(ray, cast)
+        out = s.pending == OUTSIDE
+        weight = self.next_event.weights.of_hit(s) if self.next_event is not None else None
+        seen = self.context.lights.seen(s, out & ~hit.valid, out & hit.other, hit, weight)
         s.pending = dr.select(out & (~hit.valid | hit.other), END, s.pending)
         if self.objects is not None:
-            share = self.objects.share(s, hit, out & (~hit.valid | hit.other))
-            seen = [x * y * share for x, y in zip(seen, s.ledger.carried, strict=True)]
-            lit, s = self.objects.meet(s, hit, met)
+            mis = self.objects.mis_weight(s, hit, out & (~hit.valid | hit.other))
+            seen = [x * y * mis for x, y in zip(seen, s.throughput.carried, strict=True)]
+            lit, s = self.objects.reflect(s, hit, out & hit.other)
             seen = [x + y for x, y in zip(seen, lit, strict=True)]
         if self.context.flights is not None and flight is not None:
-            asks = s.pending == ASK
-            asked = self.peel.ask(s, asks) if self.peel is not None else None
-            self.weigh(s, seen, asked)
-            s.pending = dr.select(asks, TURN, s.pending)
+            samples = s.pending == NEXT_EVENT
+            direct = self.next_event.estimate(s, samples) if self.next_event is not None else None
+            self.weigh(s, seen, direct)
+            s.pending = dr.select(samples, SCATTER, s.pending)
             s = self.arrive(s, flight, hit, out)
         else:
-            self.deposit(s, [s.ledger.common * x for x in seen])
+            self.deposit(s, [s.throughput.common * x for x in seen])
         s.steps = s.steps + 1
         late = (s.steps >= self.context.max_steps) & (s.pending != END)
         s.troubles = s.troubles + dr.select(late, mi.UInt32(1), 0)
         return self.next(s, film, late | (s.pending == END))
 
-    def next(self, s: State, film: Any, done: Any) -> State:
+    def next(self, s: PathState, film: Any, done: Any) -> PathState:
         """Turn to the lane's next sample; what a row has seen is written once, when its last is done."""
         dr, mi = self.dr, self.mi
-        turn = s.turn + dr.select(done, mi.UInt32(1), 0)
-        over = turn >= self.samples
+        sample = s.sample + dr.select(done, mi.UInt32(1), 0)
+        over = sample >= self.samples
         keep_row(mi, dr, film, s.light, s.row, self.context.padded, over)
         s.light = [dr.select(over, 0.0, x) for x in s.light]
-        s.turn = dr.select(over, 0, turn)
+        s.sample = dr.select(over, 0, sample)
         s.row = s.row + dr.select(over, self.lanes, 0)
         return self.renew(s, done)
 
-    def arrive(self, s: State, flight: Flight, hit: Hit, outside: Any) -> State:
-        """Take lanes to what their ray has met, or to the end of their flight, and across an interface there."""
+    def arrive(self, s: PathState, flight: Flight, hit: Hit, outside: Any) -> PathState:
+        """Take lanes to what their ray has hit, or to the end of their flight, and across an interface there."""
         dr, mi, flights = self.dr, self.mi, self.context.flights
         assert flights is not None
         inside, lost = s.pending == CAST, s.pending == LOST
@@ -227,7 +244,7 @@ class Kernel:
         # A camera may stand inside; at a silhouette even one outside sees a facet's back.
         begins = outside & hit.body & ~hit.outward & s.fresh & mi.Bool(self.context.options.camera_within)
         passes = outside & hit.body & ~hit.outward & ~begins
-        self.context.account(s, flight, path)
+        self.context.record_step(s, flight, path)
         s.place = flights.moved(s.place, flight, path)
         if self.context.field and not flights.layered:
             s.place.trust = dr.select(inside, 0.0, s.place.trust)
@@ -235,12 +252,12 @@ class Kernel:
         s.p = dr.select(enters | exits, hit.p, s.p)
         s.medium = dr.select(begins, self.begin(), s.medium)
         s.pending = dr.select(begins | goes, WALK, s.pending)
-        arrives = whole & flight.meets
-        s.pending = dr.select(arrives, MET, s.pending)
-        s.meeting.layer = dr.select(arrives, flight.layer, s.meeting.layer)
+        arrives = whole & flight.collides
+        s.pending = dr.select(arrives, COLLIDE, s.pending)
+        s.collision.layer = dr.select(arrives, flight.layer, s.collision.layer)
         if self.context.short:
-            s.meeting.within = dr.select(arrives, flight.within, s.meeting.within)
-        s.pending = dr.select(whole & flight.barrier, BARRIER, s.pending)
+            s.collision.within = dr.select(arrives, flight.within, s.collision.within)
+        s.pending = dr.select(whole & flight.barrier, INTERFACE, s.pending)
         s = cross(self.context, s, hit, enters, exits, lost)
         if self.context.field:
             s.place.trust = dr.select(begins, 0.0, s.place.trust)
@@ -249,10 +266,10 @@ class Kernel:
             s.pending = dr.select((enters | exits | lost | goes) & self.context.fence(s.p), END, s.pending)
             exits, lost = exits & (s.pending != END), lost & (s.pending != END)
         crossed = enters | exits | lost
-        s.pending = dr.select(crossed, dr.select(s.medium == 0, mi.UInt32(OUT), WALK), s.pending)
+        s.pending = dr.select(crossed, dr.select(s.medium == 0, mi.UInt32(OUTSIDE), WALK), s.pending)
         s.fresh &= ~(crossed | begins)
-        if self.peel is not None:
-            s = self.peel.take_aim(s, (enters & (s.medium != 0)) | begins)
+        if self.next_event is not None:
+            s = self.next_event.sample_lamp(s, (enters & (s.medium != 0)) | begins)
         s.troubles = s.troubles + dr.select(lost, mi.UInt32(1 << 16), 0)
         return s
 
@@ -261,23 +278,28 @@ class Kernel:
         assert self.context.medium is not None
         return self.mi.UInt32(len(self.context.medium.m.regions))
 
-    def weigh(self, s: State, seen: list[Any], asked: Asked | None) -> None:
-        """Weigh what light was met, or reaches a meeting from a lamp, at every wavelength, and add it to the film."""
+    def weigh(self, s: PathState, seen: list[Any], direct: DirectLight | None) -> None:
+        """Weigh what light was hit, or reaches a collision from a lamp, at every wavelength, and add it to the film."""
         dr, m = self.dr, self.context.medium
         assert m is not None
-        zero = [self.mi.Float(0.0)] * self.context.width
-        if asked is None:
-            weight = m.weights(s.ledger, zero, None, zero)
+        if direct is None:
+            zero = [self.mi.Float(0.0)] * self.context.width
+            weight = m.weights(s.throughput, lengths=None, log_scatter=zero, log_collide=zero)
             value = seen
         else:
-            weight = m.weights(s.ledger, asked.extra, asked.lengths, asked.met)
-            lamp = asked.strength
+            weight = m.weights(
+                s.throughput,
+                lengths=direct.lengths,
+                log_scatter=direct.log_scatter,
+                log_collide=direct.log_collide,
+            )
+            lamp = direct.radiance
             if self.objects is not None:
-                lamp = [x * y for x, y in zip(lamp, s.ledger.carried, strict=True)]
-            value = [dr.select(asked.active, x, y) for x, y in zip(lamp, seen, strict=True)]
-        self.deposit(s, [s.ledger.common * w * x for w, x in zip(weight, value, strict=True)])
+                lamp = [x * y for x, y in zip(lamp, s.throughput.carried, strict=True)]
+            value = [dr.select(direct.active, x, y) for x, y in zip(lamp, seen, strict=True)]
+        self.deposit(s, [s.throughput.common * w * x for w, x in zip(weight, value, strict=True)])
 
-    def deposit(self, s: State, value: Sequence[Any]) -> None:
+    def deposit(self, s: PathState, value: Sequence[Any]) -> None:
         """Add light to what the lane's row has seen."""
         s.light = [x + y for x, y in zip(s.light, value, strict=True)]
 

@@ -18,8 +18,8 @@ from livlab.units import FloatArray
 
 GROUP = 4
 
-Share = Callable[[Any], Any]
-"""From a lamp's number to the share of its light that counts."""
+LampWeight = Callable[[Any], Any]
+"""From a lamp's number to the MIS weight of its light."""
 
 
 class Lights:
@@ -28,7 +28,7 @@ class Lights:
     Attributes
     ----------
     lamps
-        Sources that a scattering inside a tissue asks for: all but the environment.
+        Sources that a scattering inside a tissue samples: all but the environment.
     environment
         The source that surrounds the scene, or None.
     """
@@ -97,10 +97,10 @@ class Lights:
         found = packet(self.mi, self.dr, self.spectra, number, self.padded)
         return [found[w] * strength for w in range(len(self.wavelengths))]
 
-    def seen(self, s: Any, missed: Any, lamp: Any, hit: Any, share: Share | None = None) -> list[Any]:
-        """Radiance that a ray has come to outside, a value a wavelength; of a lamp, the share that its number has."""
-        around, met = self.surrounding(s, missed), self.met(hit, lamp, share)
-        return [x + y for x, y in zip(around, met, strict=True)]
+    def seen(self, s: Any, missed: Any, lamp: Any, hit: Any, weight: LampWeight | None = None) -> list[Any]:
+        """Radiance that a ray has come to outside, a value a wavelength; of a lamp, with its MIS weight."""
+        around, lamps = self.surrounding(s, missed), self.emitted(hit, lamp, weight)
+        return [x + y for x, y in zip(around, lamps, strict=True)]
 
     def surrounding(self, s: Any, active: Any) -> list[Any]:
         """Radiance of the environment along a lane's ray, a value a wavelength; 0 where not active."""
@@ -116,7 +116,7 @@ class Lights:
             return self.emission(mi.UInt32(k) + dr.zeros(mi.UInt32, dr.width(s.row)), found)
         return self._groups(si, lambda x: self.environment.eval(x, active), active)
 
-    def met(self, hit: Any, active: Any, share: Share | None = None) -> list[Any]:
+    def emitted(self, hit: Any, active: Any, weight: LampWeight | None = None) -> list[Any]:
         """Radiance of a lamp's surface that a ray has hit, a value a wavelength."""
         dr, mi = self.dr, self.mi
         if not self.surfaces:
@@ -126,7 +126,7 @@ class Lights:
         emitter = si.shape.emitter()
         lit = active & (emitter != None)  # noqa: E711 - Dr.Jit compares elementwise
         number = dr.gather(mi.UInt32, self.number_of, dr.reinterpret_array(mi.UInt32, emitter), lit)
-        counts = share(number) if share is not None else mi.Float(1.0)
+        counts = weight(number) if weight is not None else mi.Float(1.0)
         if any(self.textured[self.all.index(e)] for e in self.surfaces):
             return [x * counts for x in self._groups(si, lambda x: emitter.eval(x, lit), lit)]
         si.wavelengths = mi.UnpolarizedSpectrum(dr.gather(mi.Float, self.references, number, lit))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from livlab.model.tracer.media import CELLS_PER_OCTAVE, FRESNEL_CELLS, NEVER, OCTAVES, Media
-from livlab.model.tracer.state import Ledger
+from livlab.model.tracer.state import Collision, Throughput
 from livlab.model.transport.device import Device
 from livlab.model.transport.walk.tables import HENYEY_GREENSTEIN, ISOTROPIC, RAYLEIGH, REDIRECTS
 
@@ -19,18 +19,18 @@ _BASE = (int(np.float32(2.0 ** (1 - OCTAVES)).view(np.uint32)) >> _SHIFT) - 1
 _LAST = OCTAVES * CELLS_PER_OCTAVE
 
 NONE = 0xFFFFFFFF
-"""No row: the path has not met the body's surface."""
+"""No row: the path has not hit the body's surface."""
 
 HEAD = 5
-"""Entries of a meeting's row before its ways: albedo, free path of Algorithm 1, base of the table and of the short one,
-loss."""
+"""Entries of a collision's row before its ways: albedo, free path of Algorithm 1, base of the table and of the short
+one, loss."""
 
 
 class Medium:
     """The arrays of a tissue, and what depends on nothing else.
 
-    A meeting's row holds, for a layer and a hero: its albedo and so on, then for each way of scattering its share
-    (cumulated), its code (−1 − kind for a closed form, else the offset of its table) and g.
+    A collision's row holds, for a layer and a hero: its albedo and so on, then for each way of scattering its
+    probability (cumulated), its code (−1 − kind for a closed form, else the offset of its table) and g.
     """
 
     def __init__(self, d: Device, mi: Any, m: Media) -> None:
@@ -47,19 +47,19 @@ class Medium:
         one = partial(_opaque, d, mi)
         self.stride = max(4, 8 * -(-m.layers // 8)) if m.layers > 4 else 4
         self.rates = load(_padded(m.extinction.T, self.stride))
-        self.meeting_stride = 8 * -(-(HEAD + 3 * self.ways) // 8)
-        self.meetings = load(self._meetings())
+        self.collision_stride = 8 * -(-(HEAD + 3 * self.ways) // 8)
+        self.collisions = load(self._collisions())
         self.rows = load(m.rows)
         self.reflectance = load(m.reflectance)
         both = np.stack([m.reflectance, 1.0 - m.reflectance], axis=3)
         self.log_fresnel = load(np.log(np.maximum(both, 1e-30)) if self.several and any(m.dispersive) else [0.0])
         self.index = load(m.index)
         with np.errstate(divide="ignore"):
-            met = np.maximum(np.log(m.extinction), NEVER)
+            extinction = np.maximum(np.log(m.extinction), NEVER)
             scattered = np.maximum(np.log(m.scattering), NEVER)
         self.table = load(m.walk.table)
         self.focus = [one(x) for x in m.focus]
-        self.log_met = load(_padded(met, m.padded))
+        self.log_extinction = load(_padded(extinction, m.padded))
         self.log_scattered = load(_padded(scattered, m.padded))
         self.loss = load(np.concatenate([_padded(m.loss, m.padded), np.zeros((1, m.padded))]))
         self.extinction_of = [[one(x) for x in layer] for layer in m.extinction]
@@ -70,20 +70,22 @@ class Medium:
         self.region_bottom = [one(m.top[b + 1]) for _, b in m.regions]
         self.inner = float(m.top[-2]) if m.layers > 1 else 0.0
         self.dr.make_opaque(
-            self.rates,
-            self.meetings,
-            self.rows,
-            self.reflectance,
-            self.log_fresnel,
-            self.index,
-            self.log_met,
-            self.log_scattered,
-            self.loss,
+            [
+                self.rates,
+                self.collisions,
+                self.rows,
+                self.reflectance,
+                self.log_fresnel,
+                self.index,
+                self.log_extinction,
+                self.log_scattered,
+                self.loss,
+            ]
         )
 
-    def _meetings(self) -> Any:
+    def _collisions(self) -> Any:
         m, w = self.m, self.m.walk
-        out = np.zeros((m.layers, m.wavelengths, self.meeting_stride))
+        out = np.zeros((m.layers, m.wavelengths, self.collision_stride))
         albedo = np.divide(m.scattering, m.extinction, out=np.zeros_like(m.scattering), where=m.extinction > 0)
         out[..., 0] = albedo
         out[..., 1] = m.below[:, None]
@@ -91,10 +93,10 @@ class Medium:
         out[..., 3] = m.base_short[:, None]
         out[..., 4] = m.loss > 0
         with np.errstate(invalid="ignore", divide="ignore"):
-            share = np.cumsum(w.survive, axis=1) / np.sum(w.survive, axis=1, keepdims=True)
-        share = np.nan_to_num(share, nan=1.0)
+            cumulated = np.cumsum(w.survive, axis=1) / np.sum(w.survive, axis=1, keepdims=True)
+        cumulated = np.nan_to_num(cumulated, nan=1.0)
         for c in range(self.ways):
-            out[..., HEAD + 3 * c] = share[:, c]
+            out[..., HEAD + 3 * c] = cumulated[:, c]
             closed = w.kind[:, c] <= HENYEY_GREENSTEIN
             out[..., HEAD + 3 * c + 1] = np.where(closed, -1 - w.kind[:, c], w.offset[:, c])
             out[..., HEAD + 3 * c + 2] = w.g[:, c]
@@ -127,16 +129,17 @@ class Medium:
             value = dr.select(code == -1 - HENYEY_GREENSTEIN, peaked, value)
         return dr.log(dr.maximum(value, 1e-30)) if kinds != (ISOTROPIC,) else mi.Float(float(np.log(1.0 / FOURPI)))
 
-    def phase(self, layer: Any, hero: Any, code: Any, g: Any, base: Any, active: Any) -> Callable[[Any], Any]:
-        """Phase function of what was met, in 1/sr at w = 1 − cos θ, at the hero's wavelength."""
+    def phase_function(self, collision: Collision, wavelength: Any, active: Any) -> Callable[[Any], Any]:
+        """Phase function of what a collision is with, in 1/sr at w = 1 − cos θ, at the wavelength of a number."""
         dr, mi, m = self.dr, self.mi, self.m
+        layer, base = collision.layer, collision.base
 
         def value(w: Any) -> Any:
-            found = self.log_phase(code, g, w)
+            found = self.log_phase(collision.code, collision.g, w)
             if self.tabled:
                 tabled = base >= 0.0
-                rate = dr.gather(mi.Float, self.log_scattered, layer * m.padded + hero, active & tabled)
-                at = (mi.UInt32(dr.maximum(base, 0.0)) + mi.UInt32(self.cell(w))) * m.padded + hero
+                rate = dr.gather(mi.Float, self.log_scattered, layer * m.padded + wavelength, active & tabled)
+                at = (mi.UInt32(dr.maximum(base, 0.0)) + mi.UInt32(self.cell(w))) * m.padded + wavelength
                 found = dr.select(tabled, dr.gather(mi.Float, self.rows, at, active & tabled) - rate, found)
             return dr.exp(found)
 
@@ -152,43 +155,45 @@ class Medium:
         return self.pick(layer, [made[c] for c in codes])
 
     def fresnel_row(self, interface: Any, below: Any, cosine: Any) -> Any:
-        """Row of Fresnel's table: a region's upper interface, met from below or above at a cosine."""
+        """Row of Fresnel's table: a region's upper interface, hit from below or above at a cosine."""
         dr, mi = self.dr, self.mi
         cell = dr.minimum(mi.UInt32(cosine * FRESNEL_CELLS), FRESNEL_CELLS - 1)
         return (2 * interface + dr.select(below, mi.UInt32(1), mi.UInt32(0))) * FRESNEL_CELLS + cell
 
-    def weights(self, ledger: Ledger, extra: Sequence[Any], more: Any, met: Any) -> list[Any]:
+    def weights(
+        self, throughput: Throughput, *, lengths: Any, log_scatter: Sequence[Any], log_collide: Sequence[Any]
+    ) -> list[Any]:
         """f_l / mean_h p_h of a path (the balance heuristic over heroes: Veach 1997, eq. 9.8), `common` left out.
 
         Parameters
         ----------
-        extra
-            Logarithm of what f has beside the ledger, a value a wavelength.
-        more
-            Lengths by layer that only f has.
-        met
-            Logarithm of what p has beside the ledger, a value a wavelength.
+        lengths
+            Lengths by layer that only f has; None: none.
+        log_scatter
+            Logarithm of what f has beside the path's own sums, a value a wavelength.
+        log_collide
+            Logarithm of what p has beside them, a value a wavelength.
         """
         dr, m = self.dr, self.m
         width = range(m.wavelengths)
-        forced = (
-            [0.0] * m.padded if isinstance(ledger.forced, tuple) else self.packet(self.loss, ledger.forced, m.padded)
-        )
-        above = list(extra)
+        forced = [0.0] * m.padded
+        if not isinstance(throughput.forced, tuple):
+            forced = self.packet(self.loss, throughput.forced, m.padded)
+        above = list(log_scatter)
         if self.first:
-            known = ledger.first != NONE
-            row = self.packet(self.log_fresnel, dr.select(known, ledger.first, 0), m.padded, known)
+            known = throughput.first != NONE
+            row = self.packet(self.log_fresnel, dr.select(known, throughput.first, 0), m.padded, known)
             above = [x + dr.select(known, r, 0.0) for x, r in zip(above, row, strict=False)]
-        if more is not None:
-            for k, path in enumerate(more):
+        if lengths is not None:
+            for k, path in enumerate(lengths):
                 above = [x - self.extinction_of[k][w] * path for w, x in enumerate(above)]
-        below = [forced[w] + met[w] for w in width]
+        below = [forced[w] + log_collide[w] for w in width]
         if not self.several:
             return [dr.exp(above[0] - below[0])]
-        shared = list(ledger.rows) if self.vector else [self.mi.Float(0.0) for _ in width]
+        shared = list(throughput.rows) if self.vector else [self.mi.Float(0.0) for _ in width]
         for k in range(m.layers):
-            shared = [dr.fma(-self.extinction_of[k][w], ledger.lengths[k], shared[w]) for w in width]
-        for n, k in zip(ledger.counts, self.counted, strict=True):
+            shared = [dr.fma(-self.extinction_of[k][w], throughput.lengths[k], shared[w]) for w in width]
+        for n, k in zip(throughput.counts, self.counted, strict=True):
             shared = [dr.fma(self.log_scattered_of[k][w], n, shared[w]) for w in width]
         below = [x + y for x, y in zip(below, shared[: m.wavelengths], strict=True)]
         highest = reduce(dr.maximum, below)

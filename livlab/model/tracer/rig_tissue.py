@@ -1,6 +1,6 @@
 """Pictures of a sphere of tissue under distant lights, all of them from the same paths.
 
-A smooth surface bends light, so no path can be aimed at a small light: it is met by chance. But all that a sphere on
+A smooth surface bends light, so no path can be aimed at a small light: it is hit by chance. But all that a sphere on
 the camera's axis does is the same after a turn about that axis. So each path of the tracer, from the camera through
 the tissue and out, is kept with the direction in which it left, and then turned until it meets a light: it serves the
 light of every picture, and falls into the pixel that the turn brings it to.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.lights import Lights, Share
+from livlab.model.tracer.lights import LampWeight, Lights
 from livlab.model.tracer.tracer import Rays, Tracer
 from livlab.model.transport.rng import uniform
 from livlab.units import FloatArray
@@ -185,13 +185,13 @@ class _Directions(Lights):
         """Nothing where the path was mirrored by the surface and never entered."""
         dr, mi = self.dr, self.mi
         inside = mi.Float(0.0)
-        for path in s.ledger.lengths:
+        for path in s.throughput.lengths:
             inside = inside + path
         told = active & (inside > 0.0)
         one = [1.0] * (len(self.wavelengths) - 3)
         return [dr.select(told, x, 0.0) for x in (*one, 2.0 + s.d.x, 2.0 + s.d.y, 2.0 + s.d.z)]
 
-    def met(self, hit: Any, active: Any, share: Share | None = None) -> list[Any]:
+    def emitted(self, hit: Any, active: Any, weight: LampWeight | None = None) -> list[Any]:
         """There are no lamps."""
         return [self.mi.Float(0.0) for _ in self.wavelengths]
 

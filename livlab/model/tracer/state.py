@@ -1,47 +1,48 @@
-"""What a lane carries from step to step; () stands for what a scene does not need."""
+"""What a lane carries from step to step; () or an empty list stands for what a scene does not need."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-WALK, MET, TURN, BARRIER, CAST, LOST, ASK, OUT, END = range(9)
-"""What a lane is to do next: fly on inside; meet what it came to; be turned there; cross an interface told by depth;
-see whether the surface is in the way of its flight; leave, as it finds itself outside; ask for a lamp; follow a ray
-outside; turn to its next path. The first four are the stroll's, all others cast rays or weigh light."""
+WALK, COLLIDE, SCATTER, INTERFACE, CAST, LOST, NEXT_EVENT, OUTSIDE, END = range(9)
+"""What a lane is to do next: fly on inside; decide what a collision is; be scattered by it; cross an interface told by
+depth; see whether the surface is in the way of its flight; leave, as it finds itself outside; sample a lamp from its
+collision; follow a ray outside; begin its next path."""
 
-QUIET = BARRIER
+LAST_INTERIOR = INTERFACE
+"""All up to this one are the interior walk's; the others cast rays or weigh light."""
 
 
 @dataclass
-class Ledger:
-    """What a path did, as far as its density at other wavelengths depends on it.
+class Throughput:
+    """Running sums of a path's contributions, from which its weight at every wavelength follows.
 
     Attributes
     ----------
+    common
+        Weight that is the same for all wavelengths.
     lengths
         Path in each layer.
     counts
-        Meetings in each layer that scatters alike at all wavelengths.
+        Scatterings in each layer that scatters alike at all wavelengths.
     rows
         Σ ln density of all that differs from wavelength to wavelength otherwise, a value a wavelength.
     forced
         Layer in which the path was made to survive, the number of layers for none.
     first
-        Row of Fresnel's table that the first surface was met with, where it differs by wavelength.
-    common
-        Weight that is the same for all wavelengths.
+        Row of Fresnel's table that the first surface was hit with, where it differs by wavelength.
     carried
-        Reflectance of other objects met, a value a wavelength.
+        Product of the reflectances of other objects hit, a value a wavelength.
     """
 
-    lengths: Any
-    counts: Any
-    rows: Any
-    forced: Any
-    first: Any
     common: Any
-    carried: Any
+    lengths: list[Any] = field(default_factory=list)
+    counts: list[Any] = field(default_factory=list)
+    rows: list[Any] = field(default_factory=list)
+    forced: Any = ()
+    first: Any = ()
+    carried: list[Any] = field(default_factory=list)
 
 
 @dataclass
@@ -57,65 +58,90 @@ class Place:
     clear
         Path within which no point of the surface can be.
     since
-        Path from the last draw.
+        Path since the last free path was drawn.
     """
 
-    depth: Any
-    inward: Any
-    trust: Any
-    clear: Any
-    since: Any
+    depth: Any = ()
+    inward: Any = ()
+    trust: Any = ()
+    clear: Any = ()
+    since: Any = ()
 
 
 @dataclass
-class Meeting:
-    """A meeting that is not over yet.
+class Collision:
+    """The collision that a path has come to, until it is scattered or absorbed.
 
     Attributes
     ----------
     layer, within
-        Its layer, and the path in it since the last draw.
+        Its layer, and the path in it since the last free path was drawn.
     code, g, base
-        How what was met scatters: see `livlab.model.tracer.medium.Medium`.
-    chance
-        With which the lamp was asked for.
-    turned
-        Density with which the path was last turned: see `livlab.model.tracer.mis`.
+        How what was hit scatters: see `livlab.model.tracer.medium.Medium`.
+    probability
+        With which a lamp was sampled from it.
+    pdf
+        Density in 1/sr with which the path was last scattered: see `livlab.model.tracer.mis`.
     """
 
-    layer: Any
-    within: Any
-    code: Any
-    g: Any
-    base: Any
-    chance: Any
-    turned: Any
+    layer: Any = ()
+    within: Any = ()
+    code: Any = ()
+    g: Any = ()
+    base: Any = ()
+    probability: Any = ()
+    pdf: Any = ()
 
 
 @dataclass
-class Aim:
-    """The lamp that a path's meetings ask: which one, the sample of its surface, and where that lies.
+class LampSample:
+    """The lamp that a path's collisions sample: which one, the sample of its surface, and where that lies.
 
     Attributes
     ----------
+    number
+        Of the lamp.
+    sample
+        Two random numbers, for the place on its surface.
     spot
-        Place of the sample, or the direction to a distant lamp.
+        The place, or the direction to a distant lamp.
+    distant
+        Whether it is one.
     """
 
-    lamp: Any
-    sample: Any
-    spot: Any
-    distant: Any
+    number: Any = ()
+    sample: Any = ()
+    spot: Any = ()
+    distant: Any = ()
 
 
 @dataclass
-class State:
+class Bounce:
+    """What a light hit next needs to know of the last object.
+
+    Attributes
+    ----------
+    p, pdf
+        Where the ray was sent off, and with what density of direction; 0 where lights count fully.
+    count
+        Objects hit.
+    """
+
+    p: Any
+    pdf: Any
+    count: Any
+
+
+@dataclass
+class PathState:
     """A lane: its random numbers, its place in the picture, and the path it follows.
 
     Attributes
     ----------
-    row, turn
+    row, sample
         Row of the film, and which of the row's samples.
+    hero
+        Wavelength that the path is drawn with.
     medium
         0 outside, else the region of the tissue plus one.
     pending
@@ -125,17 +151,17 @@ class State:
     fresh
         The path is still the camera's own ray.
     covered
-        Path on which lamps were asked for at the last scattering, less what was gone since: a lamp that is met while it
-        is positive was counted in part.
+        Path on which a lamp may also have been sampled at the last scattering, less what was gone since: while it is
+        positive, a lamp that is hit counts with its MIS weight.
     light
         What the row has seen, a value a wavelength.
     bounce
-        What the next light met needs to know of the last object: see `livlab.model.tracer.objects`.
+        The last object; () in a scene without.
     """
 
     stream: Any
     row: Any
-    turn: Any
+    sample: Any
     hero: Any
     medium: Any
     pending: Any
@@ -143,12 +169,12 @@ class State:
     p: Any
     d: Any
     place: Place
-    meeting: Meeting
-    aim: Aim
-    ledger: Ledger
+    collision: Collision
+    lamp: LampSample
+    throughput: Throughput
     fresh: Any
     covered: Any
     bounce: Any
-    light: Any
+    light: list[Any]
     steps: Any
     troubles: Any

@@ -1,4 +1,4 @@
-"""What a ray meets: a body's surface, its normal and curvature, or something else in the scene."""
+"""What a ray hits: a body's surface, its normal and curvature, or something else in the scene."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _EDGES = 8
 
 @dataclass
 class Hit:
-    """What a ray met.
+    """What a ray hit.
 
     Attributes
     ----------
     valid, body, other
-        Whether it met anything; the body's surface; something else.
+        Whether it hit anything; the body's surface; something else.
     interface
         Which of the body's surfaces.
     p, t
@@ -33,7 +33,7 @@ class Hit:
     outward
         Whether the ray came from outside.
     found, ray
-        What Mitsuba knows, to ask it more.
+        What Mitsuba knows, to be asked for more.
     """
 
     valid: Any
@@ -70,7 +70,7 @@ class Surface:
             self.rows, self.edges = (mi.Float(np.concatenate(x).ravel()) + 0.0 for x in (rows, edges))
             d.dr.eval(self.rows, self.edges)
 
-    def meet(self, ray: Any, cast: Any) -> Hit:
+    def intersect(self, ray: Any, cast: Any) -> Hit:
         """Cast a ray."""
         dr, mi = self.dr, self.mi
         found = self.scene.ray_intersect_preliminary(ray, coherent=False, active=cast)
@@ -94,7 +94,17 @@ class Surface:
         # A smoothed normal that looks away from the ray would send its light through the surface.
         agrees = (dr.dot(smooth, ray.d) < 0.0) == outward
         return Hit(
-            valid, body, valid & ~body, interface, p, t, facet, dr.select(agrees, smooth, facet), outward, found, ray
+            valid=valid,
+            body=body,
+            other=valid & ~body,
+            interface=interface,
+            p=p,
+            t=t,
+            facet=facet,
+            normal=dr.select(agrees, smooth, facet),
+            outward=outward,
+            found=found,
+            ray=ray,
         )
 
     def _of_mesh(self, found: Any, interface: Any, ray: Any, active: Any) -> tuple[Any, Any, Any]:
@@ -157,7 +167,7 @@ def _rows(mi: Any, shape: Any) -> tuple[Any, Any]:
     return rows, edges
 
 
-def others(d: Device, mi: Any, scene: Any, bodies: Sequence[Any]) -> list[Any]:
+def other_shapes(d: Device, mi: Any, scene: Any, bodies: Sequence[Any]) -> list[Any]:
     """Shapes that are no body's and not just a lamp's black surface."""
     own = {s.id() for s in bodies}
     return [s for s in scene.shapes() if s.id() not in own and not (s.is_emitter() and _black(d, mi, s))]

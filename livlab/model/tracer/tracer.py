@@ -14,7 +14,7 @@ from livlab.model.tracer.body import Body
 from livlab.model.tracer.context import Context, TracerOptions
 from livlab.model.tracer.field import Field
 from livlab.model.tracer.flight import Flights
-from livlab.model.tracer.kernel import Kernel, Plan
+from livlab.model.tracer.kernel import Kernel, LaunchPlan
 from livlab.model.tracer.lights import Lights
 from livlab.model.tracer.media import media, padded_width
 from livlab.model.tracer.medium import Medium
@@ -54,7 +54,7 @@ class Tracer:
     max_steps
         Steps after which a path is given up.
     next_event
-        Whether scatterings in the tissue sample the lamps; if not, lamps are met by chance, points and beams never.
+        Whether scatterings in the tissue sample the lamps; if not, lamps are hit by chance, points and beams never.
     rays, shape
         In place of a camera: what casts rays, and the rows and columns it casts them for.
 
@@ -89,23 +89,14 @@ class Tracer:
 
         self.dr = dr
         self.backend = variant.split("_", maxsplit=1)[0]
-        self.d = d = _device(mi, dr, self.backend)
-        try:
-            self.scene = mi.load_dict(dict(scene), optimize=False) if isinstance(scene, Mapping) else scene
-        except (RuntimeError, ValueError, TypeError) as error:
-            raise InputError.of("scene", "", f"is not taken by Mitsuba ({error})", "Mend it.") from error
+        self.d = d = Device.of("cuda" if self.backend == "cuda" else "llvm", dr, mi)
+        self.scene = _loaded(mi, scene)
         self.shapes = _surfaces(self.scene, body)
-        self.medium, self.flights, size = None, None, 1.0
+        size = 1.0 if body is None else float(max(self.shapes[0].bbox().extents()))
+        self.medium: Medium | None = None
+        self.flights: Flights | None = None
         if body is not None:
-            box = self.shapes[0].bbox()
-            size = float(max(box.extents()))
-            field = Field.load(mi, dr, body.distances, body.mm_per_unit) if body.distances is not None else None
-            deepest = field.deepest * body.mm_per_unit if field and not body.nested else 0.0
-            made = media(
-                body.stack, mm_per_unit=body.mm_per_unit, room_mm=deepest, split=body.nested, hollow=body.hollow
-            )
-            self.medium = Medium(d, mi, made)
-            self.flights = Flights(self.medium, body, field, size)
+            self.medium, self.flights = _tissue(d, mi, body, size)
         self.padded = padded_width(len(self.wavelengths))
         lights = Lights(d, mi, self.scene, self.wavelengths, self.padded)
         if rays is None:
@@ -171,7 +162,7 @@ class Tracer:
         film = dr.zeros(mi.Float, count * self.padded)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            troubles = self.kernel.trace(film, Plan(count, lanes, samples), seed, number)
+            troubles = self.kernel.trace(film, LaunchPlan(count, lanes, samples), seed, number)
             dr.sync_thread()
             history = dr.kernel_history()
         self.compile_seconds += 1e-3 * sum(h.get("codegen_time", 0.0) + h.get("backend_time", 0.0) for h in history)
@@ -187,11 +178,11 @@ class Tracer:
         size = self.pixels * self.padded
         index = dr.arange(mi.UInt32, size)
         end = dr.opaque(mi.UInt32, rows * size)
-        step, share = dr.opaque(mi.UInt32, size), dr.opaque(mi.Float64, 1.0 / samples)
+        step, scale = dr.opaque(mi.UInt32, size), dr.opaque(mi.Float64, 1.0 / samples)
         zero = dr.zeros(mi.Float64, size)
 
         def add(at: Any, total: Any, squares: Any) -> tuple[Any, Any, Any]:
-            value = mi.Float64(dr.gather(mi.Float, film, at)) * share
+            value = mi.Float64(dr.gather(mi.Float, film, at)) * scale
             return at + step, total + value, dr.fma(value, value, squares)
 
         _, total, squares = dr.while_loop(
@@ -206,7 +197,7 @@ class Tracer:
         pixel = dr.arange(mi.UInt32, self.pixels)
         stream = _Middle(mi)
         origin, direction = self.context.camera(stream, pixel)
-        hit = self.context.surface.meet(mi.Ray3f(origin, direction), mi.Bool(True))
+        hit = self.context.surface.intersect(mi.Ray3f(origin, direction), mi.Bool(True))
         return np.array(hit.body + dr.zeros(mi.UInt32, self.pixels)).astype(bool).reshape(self.shape)
 
     def _camera(self, sensor: int) -> tuple[tuple[int, int], Rays]:
@@ -245,20 +236,23 @@ class _Middle:
         return self.mi.UInt32(1 << 31)
 
 
-def _device(mi: Any, dr: Any, backend: str) -> Device:
-    """The walk's door to Dr.Jit, with the array types of Mitsuba's variant."""
-    return Device(
-        "cuda" if backend == "cuda" else "llvm",
-        dr,
-        mi.Float,
-        mi.Float64,
-        mi.UInt32,
-        mi.UInt64,
-        mi.Int32,
-        mi.Int64,
-        mi.Bool,
-        mi.PCG32,
-    )
+def _loaded(mi: Any, scene: Mapping[str, Any] | Any) -> Any:
+    """The scene, if it is not loaded yet."""
+    if not isinstance(scene, Mapping):
+        return scene
+    try:
+        return mi.load_dict(dict(scene), optimize=False)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError.of("scene", "", f"is not taken by Mitsuba ({error})", "Mend it.") from error
+
+
+def _tissue(d: Device, mi: Any, body: Body, size: float) -> tuple[Medium, Flights]:
+    """A body's tissue on the device, and free flights in it."""
+    field = Field.load(mi, d.dr, body.distances, body.mm_per_unit) if body.distances is not None else None
+    deepest = field.deepest * body.mm_per_unit if field and not body.nested else 0.0
+    made = media(body.stack, mm_per_unit=body.mm_per_unit, room_mm=deepest, split=body.nested, hollow=body.hollow)
+    medium = Medium(d, mi, made)
+    return medium, Flights(medium, body, field, size)
 
 
 def _surfaces(scene: Any, body: Body | None) -> list[Any]:

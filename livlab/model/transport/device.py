@@ -39,6 +39,12 @@ class Device:
     Bool: Any
     PCG32: Any
 
+    @classmethod
+    def of(cls, variant: Variant, dr: Any, types: Any) -> Device:
+        """A backend's array types from the module that has them."""
+        names = ("Float", "Float64", "UInt32", "UInt64", "Int32", "Int64", "Bool", "PCG32")
+        return cls(variant, dr, **{name: getattr(types, name) for name in names})
+
     def load(self, kind: Any, values: Any) -> Any:
         """An array of Dr.Jit's own from numbers.
 
@@ -76,8 +82,7 @@ def device(variant: Variant) -> Device:
         if not dr.has_backend(dr.JitBackend.CUDA):
             raise EnvironmentProblem("variant 'cuda' finds no GPU or no driver.", remedy="Use variant 'llvm'.")
     limit_threads(dr)
-    names = ("Float", "Float64", "UInt32", "UInt64", "Int32", "Int64", "Bool", "PCG32")
-    return Device(variant=variant, dr=dr, **{name: getattr(backend, name) for name in names})
+    return Device.of(variant, dr, backend)
 
 
 def limit_threads(dr: Any) -> None:

@@ -30,5 +30,5 @@ def test_a_level_flight_comes_to_no_interface(slope: float) -> None:
     flight = tracer.flights.fly(state)
     assert not np.array(flight.barrier).any()
     np.testing.assert_allclose(np.array(flight.reach), 0.1 / 1.1, rtol=1e-5)
-    assert np.array(flight.meets).all()
+    assert np.array(flight.collides).all()
     assert np.array(flight.layer).tolist() == [0, 1]
