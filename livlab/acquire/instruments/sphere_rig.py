@@ -308,14 +308,14 @@ def view_of(camera: Camera) -> Any:
     InputError
         Its pixels are not square.
     """
-    from livlab.model.tracer.rig import View
+    from livlab.model.tracer.rig import RigView
 
     m = np.asarray(camera.matrix, dtype=float)
     if not math.isclose(m[0, 0], m[1, 1], rel_tol=1e-6) or m[0, 1] != 0:
         raise InputError.of(
             "rig.camera.matrix", m.tolist(), "the rendered camera has square pixels", "Set f_x = f_y and no skew."
         )
-    return View(
+    return RigView(
         camera.width,
         camera.height,
         float(m[0, 0]),

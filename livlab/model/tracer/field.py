@@ -55,16 +55,16 @@ class Field:
         dr.eval(data)
         nz, ny, nx = values.shape
         return cls(
-            dr,
-            mi,
-            data,
-            mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin)),
-            dr.opaque(mi.Float, 1.0 / spacing),
-            [dr.opaque(mi.Float, float(n - 2)) for n in (nx, ny, nz)],
-            [dr.opaque(mi.UInt32, int(n)) for n in (nx, nx * ny)],
-            TRUST * spacing,
-            float(values.max()) / mm_per_unit,
-            float(max(nx, ny, nz) - 1) * spacing,
+            dr=dr,
+            mi=mi,
+            values=data,
+            origin=mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin)),
+            inverse_spacing=dr.opaque(mi.Float, 1.0 / spacing),
+            size=[dr.opaque(mi.Float, float(n - 2)) for n in (nx, ny, nz)],
+            strides=[dr.opaque(mi.UInt32, int(n)) for n in (nx, nx * ny)],
+            slack=TRUST * spacing,
+            deepest=float(values.max()) / mm_per_unit,
+            extent=float(max(nx, ny, nz) - 1) * spacing,
         )
 
     def look(self, p: Any, active: Any) -> tuple[Any, Any]:

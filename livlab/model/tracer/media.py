@@ -1,8 +1,8 @@
 """From an optical stack to the arrays of the tracer: rates, phase functions and Fresnel's law at all wavelengths.
 
 One path serves all wavelengths, so beside the numbers that its own ("hero") wavelength draws with, the density of
-every draw is needed at all the others. Where it is the same but for a rate, path length and count of meetings tell it;
-where phase functions differ, rows of a table hold ln Σ σ_s p(w) over w = 1 − cos θ.
+every draw is needed at all the others. Where it is the same but for a rate, path length and count of collisions tell
+it; where phase functions differ, rows of a table hold ln Σ σ_s p(w) over w = 1 − cos θ.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Media:
     rows
         (N, padded) ln Σ σ_s p at each cell.
     reflectance
-        (R, 2, FRESNEL_CELLS, padded) of region r's upper interface, met from above and from below.
+        (R, 2, FRESNEL_CELLS, padded) of region r's upper interface, hit from above and from below.
     refracts, dispersive
         (R,) whether the upper interface of a region changes the index at all; and whether it differs by wavelength.
     walk
@@ -140,24 +140,24 @@ def media(
         loss = np.where(scattering > 0, np.log(extinction / np.where(scattering > 0, scattering, 1.0)), 0.0)
     top = np.concatenate([[0.0], np.cumsum([x.thickness_mm for x in layers])]) / mm_per_unit
     return Media(
-        count,
-        padded,
-        np.minimum(top, 1e30),
-        regions,
-        extinction,
-        scattering,
-        index,
-        loss,
-        np.array([_focus(x) for x in layers]),
-        np.array([_below(x) for x in layers]) / mm_per_unit,
-        plain,
-        base,
-        short,
-        rows,
-        reflectance,
-        refracts,
-        dispersive,
-        walk,
+        wavelengths=count,
+        padded=padded,
+        top=np.minimum(top, 1e30),
+        regions=regions,
+        extinction=extinction,
+        scattering=scattering,
+        index=index,
+        loss=loss,
+        focus=np.array([_focus(x) for x in layers]),
+        below=np.array([_below(x) for x in layers]) / mm_per_unit,
+        plain=plain,
+        base=base,
+        base_short=short,
+        rows=rows,
+        reflectance=reflectance,
+        refracts=refracts,
+        dispersive=dispersive,
+        walk=walk,
     )
 
 

@@ -30,7 +30,7 @@ _KEPT = 2
 
 
 @dataclass(frozen=True)
-class Progress:
+class RenderProgress:
     """How far a picture is.
 
     Attributes
@@ -65,7 +65,7 @@ def render(
     sensor: int = 0,
     variant: str = VARIANT,
     max_steps: int = 100_000,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[RenderProgress], None] | None = None,
     preview: Callable[[xr.Dataset], None] | None = None,
     checkpoint: Callable[[xr.Dataset], None] | None = None,
     resume: xr.Dataset | None = None,
@@ -89,7 +89,7 @@ def render(
         Stop when the median over the body's pixels and all wavelengths of the standard error meets it, relative to
         the radiance or as it is; or when the time is up. `spp` then is the most.
     estimator
-        "expected": a path's first meeting in an absorbing layer is survived by weight, and Algorithm 2's factor is
+        "expected": a path's first collision in an absorbing layer is survived by weight, and Algorithm 2's factor is
         its mean. "analog": absorption ends a path, the factor is drawn.
     together
         Whether a path serves all wavelengths; if not, each is rendered for itself.
@@ -121,10 +121,7 @@ def render(
         The variant cannot run here.
     """
     grid = np.asarray(wavelengths_nm, dtype=np.float64)
-    if spp is not None and not 1 <= spp <= MOST_SPP:
-        raise InputError.of("spp", spp, f"must be within [1, {MOST_SPP}]", "Ask for that many samples a pixel.")
-    if seed < 0:
-        raise InputError.of("seed", seed, "must be >= 0", "Give a natural number.")
+    _check(spp, seed)
     settings = {"sensor": sensor, "estimator": estimator, "variant": variant, "max_steps": max_steps}
     if not together and len(grid) > 1:
         if resume is not None or checkpoint is not None:
@@ -134,34 +131,12 @@ def render(
     most = spp or (16 if accuracy is None else MOST_SPP)
     film = Film(tracer.shape, tracer.wavelengths, row_samples(most))
     if resume is not None:
-        if int(resume.attrs.get("seed", -1)) != seed:
-            raise InputError.of("resume: seed", resume.attrs.get("seed"), f"is not {seed}", "Start anew.")
-        film.take(resume)
+        _resume(film, resume, seed)
     seen = tracer.sees_body() if body is not None and (accuracy is not None or progress is not None) else None
-    before, compiled = tracer.seconds, tracer.compile_seconds
-    started, finished, error = time.perf_counter(), True, float("nan")
-    troubles = dict(tracer.troubles)
-    try:
-        while film.samples < most and not _met(film, seen, accuracy, time.perf_counter() - started):
-            per_row = tracer.pixels * film.row_samples
-            rows = max(1, min(tracer.most_rows(), LAUNCH_PATHS // per_row, (most - film.samples) // film.row_samples))
-            film.add(*tracer.launch(rows, film.row_samples, seed, film.passes), rows)
-            if progress is not None:
-                error = median_error(film, seen)
-                spent = time.perf_counter() - started
-                progress(_progress(film.samples, most, spent, error, accuracy))
-            if preview is not None:
-                preview(film.dataset())
-            if checkpoint is not None:
-                state = film.state()
-                state.attrs["seed"] = seed
-                checkpoint(state)
-    except KeyboardInterrupt:
-        if not film.rows:
-            raise
-        finished = False
+    before, compiled, troubles = tracer.seconds, tracer.compile_seconds, dict(tracer.troubles)
+    goal = _Goal(most, accuracy, seen)
+    finished = _launches(tracer, film, goal, seed, progress=progress, preview=preview, checkpoint=checkpoint)
     out = film.dataset()
-    lost = {key: value - troubles[key] for key, value in tracer.troubles.items()}
     out.attrs = {
         "samples": film.samples,
         "seed": seed,
@@ -171,9 +146,97 @@ def render(
         "compile_seconds": tracer.compile_seconds - compiled,
         "finished": finished,
         "notes": "\n".join(body.stack.notes if body is not None else ()),
-        **lost,
+        **{key: value - troubles[key] for key, value in tracer.troubles.items()},
     }
     return out
+
+
+@dataclass(frozen=True)
+class _Goal:
+    """When a picture is done.
+
+    Attributes
+    ----------
+    most
+        Samples a pixel at which it is in any case.
+    seen
+        (row, column) pixels that show the body, whose error counts; None: all.
+    """
+
+    most: int
+    accuracy: Accuracy | None
+    seen: Any
+
+    def met(self, film: Film, seconds: float) -> bool:
+        """Whether the wished accuracy is there, or the time up."""
+        accuracy, seen = self.accuracy, self.seen
+        if accuracy is None or film.rows < 8:
+            return False
+        if accuracy.seconds is not None:
+            return seconds >= accuracy.seconds
+        if accuracy.relative is not None:
+            return median_error(film, seen) <= accuracy.relative
+        error = film.standard_error()
+        of = error[seen] if seen is not None and seen.any() else error
+        return float(np.median(of)) <= float(accuracy.standard_error or 0.0)
+
+    def progress(self, film: Film, spent: float) -> RenderProgress:
+        """How far a film is after so many seconds."""
+        samples, accuracy, error = film.samples, self.accuracy, median_error(film, self.seen)
+        wanted = float(self.most)
+        if accuracy is not None and accuracy.relative is not None and np.isfinite(error):
+            wanted = min(wanted, max(samples * (error / accuracy.relative) ** 2, float(samples)))
+        done, left = min(samples / wanted, 1.0), max(spent * (wanted / samples - 1.0), 0.0)
+        if accuracy is not None and accuracy.seconds is not None:
+            done, left = min(spent / accuracy.seconds, 1.0), max(accuracy.seconds - spent, 0.0)
+        return RenderProgress(done=done, samples=samples, seconds=spent, seconds_left=left, error=error)
+
+
+def _launches(
+    tracer: Tracer,
+    film: Film,
+    goal: _Goal,
+    seed: int,
+    *,
+    progress: Callable[[RenderProgress], None] | None,
+    preview: Callable[[xr.Dataset], None] | None,
+    checkpoint: Callable[[xr.Dataset], None] | None,
+) -> bool:
+    """Add launches to a film until its goal is met; whether it was, or Ctrl-C came first."""
+    started = time.perf_counter()
+    try:
+        while film.samples < goal.most and not goal.met(film, time.perf_counter() - started):
+            per_row = tracer.pixels * film.row_samples
+            left = (goal.most - film.samples) // film.row_samples
+            rows = max(1, min(tracer.most_rows(), LAUNCH_PATHS // per_row, left))
+            film.add(*tracer.launch(rows, film.row_samples, seed, film.passes), rows)
+            if progress is not None:
+                progress(goal.progress(film, time.perf_counter() - started))
+            if preview is not None:
+                preview(film.dataset())
+            if checkpoint is not None:
+                state = film.state()
+                state.attrs["seed"] = seed
+                checkpoint(state)
+    except KeyboardInterrupt:
+        if not film.rows:
+            raise
+        return False
+    return True
+
+
+def _check(spp: int | None, seed: int) -> None:
+    if spp is not None and not 1 <= spp <= MOST_SPP:
+        raise InputError.of("spp", spp, f"must be within [1, {MOST_SPP}]", "Ask for that many samples a pixel.")
+    if seed < 0:
+        raise InputError.of("seed", seed, "must be >= 0", "Give a natural number.")
+
+
+def _resume(film: Film, state: xr.Dataset, seed: int) -> None:
+    """Go on from what a checkpoint was given."""
+    if int(state.attrs.get("seed", -1)) != seed:
+        raise InputError.of("resume: seed", state.attrs.get("seed"), f"is not {seed}", "Start anew.")
+    film.take(state)
 
 
 _ready: OrderedDict[Any, tuple[Any, Tracer]] = OrderedDict()
@@ -204,28 +267,6 @@ def median_error(film: Film, seen: Any) -> float:
     if seen is not None:
         where &= seen[..., None]
     return float(np.median(error[where] / mean[where])) if where.any() else float("nan")
-
-
-def _met(film: Film, seen: Any, accuracy: Accuracy | None, seconds: float) -> bool:
-    if accuracy is None or film.rows < 8:
-        return False
-    if accuracy.seconds is not None:
-        return seconds >= accuracy.seconds
-    if accuracy.relative is not None:
-        return median_error(film, seen) <= accuracy.relative
-    error = film.standard_error()
-    of = error[seen] if seen is not None and seen.any() else error
-    return float(np.median(of)) <= float(accuracy.standard_error or 0.0)
-
-
-def _progress(samples: int, most: int, spent: float, error: float, accuracy: Accuracy | None) -> Progress:
-    wanted = float(most)
-    if accuracy is not None and accuracy.relative is not None and np.isfinite(error):
-        wanted = min(wanted, max(samples * (error / accuracy.relative) ** 2, float(samples)))
-    left = spent * (wanted / samples - 1.0)
-    if accuracy is not None and accuracy.seconds is not None:
-        return Progress(min(spent / accuracy.seconds, 1.0), samples, spent, max(accuracy.seconds - spent, 0.0), error)
-    return Progress(min(samples / wanted, 1.0), samples, spent, max(left, 0.0), error)
 
 
 def _one_by_one(scene: Any, grid: FloatArray, body: Body | None, settings: dict[str, Any], **wishes: Any) -> xr.Dataset:

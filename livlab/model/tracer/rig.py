@@ -23,7 +23,7 @@ SPP_A_PASS = 1024
 
 
 @dataclass(frozen=True)
-class View:
+class RigView:
     """A pinhole or parallel camera with square pixels and no distortion.
 
     Attributes
@@ -64,7 +64,9 @@ class Lamp:
     direction: FloatArray | None = None
 
 
-def sensor(mi: Any, view: View, *, samples: int, sampler: str = "multijitter", channels: str = "rgb") -> dict[str, Any]:
+def sensor(
+    mi: Any, view: RigView, *, samples: int, sampler: str = "multijitter", channels: str = "rgb"
+) -> dict[str, Any]:
     """A view as Mitsuba's sensor: box filter, float32 film."""
     if samples < 1 or samples != int(samples):
         raise InputError.of("samples_per_pixel", samples, "must be a whole number ≥ 1", "Ask for at least one.")
@@ -105,7 +107,7 @@ def sensor(mi: Any, view: View, *, samples: int, sampler: str = "multijitter", c
 
 
 def photograph_sphere(
-    view: View,
+    view: RigView,
     lamps: Sequence[Lamp],
     centre_mm: FloatArray,
     radius_mm: float,
@@ -159,7 +161,7 @@ def photograph_sphere(
 
 
 def silhouette(
-    view: View,
+    view: RigView,
     centre_mm: FloatArray,
     radius_mm: float,
     *,

@@ -15,7 +15,7 @@ from livlab.model.tissue.stack import plain_stack
 from livlab.model.tracer import render as rendering
 from livlab.model.tracer import stage
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.render import Progress, render
+from livlab.model.tracer.render import RenderProgress, render
 from livlab.model.tracer.variant import mitsuba
 from livlab.model.transport.accuracy import Accuracy
 
@@ -49,7 +49,7 @@ def median(found: xr.Dataset, of: str) -> float:
 
 @pytest.mark.usefixtures("small_launches")
 def test_a_wished_relative_error_is_met_and_not_by_far(scene: dict[str, Any]) -> None:
-    told: list[Progress] = []
+    told: list[RenderProgress] = []
     found = render(scene, GRID, body=BODY, seed=1, accuracy=Accuracy(relative=0.05), progress=told.append)
     assert found.attrs["finished"]
     assert told[-1].error <= 0.05 < told[-2].error
@@ -68,7 +68,7 @@ def test_a_wished_error_in_units_of_radiance_is_met(scene: dict[str, Any]) -> No
 @pytest.mark.usefixtures("small_launches")
 def test_a_wished_time_is_kept(scene: dict[str, Any]) -> None:
     render(scene, GRID, body=BODY, spp=16)  # compiled
-    told: list[Progress] = []
+    told: list[RenderProgress] = []
     render(scene, GRID, body=BODY, seed=1, accuracy=Accuracy(seconds=1.0), progress=told.append)
     assert told[-1].seconds >= 1.0
     assert len(told) > 2
@@ -83,7 +83,7 @@ def test_samples_are_the_most_that_an_accuracy_may_take(scene: dict[str, Any]) -
 
 @pytest.mark.usefixtures("small_launches")
 def test_progress_tells_how_far_it_is(scene: dict[str, Any]) -> None:
-    told: list[Progress] = []
+    told: list[RenderProgress] = []
     seen: list[xr.Dataset] = []
     render(scene, GRID, body=BODY, spp=128, progress=told.append, preview=seen.append)
     assert [p.samples for p in told] == [16 * (k + 1) for k in range(8)]
@@ -103,7 +103,7 @@ def test_an_interrupted_picture_is_kept_and_gone_on_to_the_same_bits(scene: dict
     whole = render(scene, GRID, body=BODY, spp=128, seed=7)
     states: list[xr.Dataset] = []
 
-    def stop(p: Progress) -> None:
+    def stop(p: RenderProgress) -> None:
         if p.samples >= 48:
             raise KeyboardInterrupt
 
