@@ -1,8 +1,9 @@
-"""Figure of merit and time to a given error of every rung of the ladder, on a slab, a half-space and a spectrum.
+"""Figure of merit and time to a given error of every solver of the ladder, on a slab, a half-space and a spectrum.
 
 Run `python benchmarks/bench_ladder.py [--error E] [--variant llvm|cuda]`.
-The figure of merit is 1/(σ² t), σ the root mean square over the wavelengths of what a rung states of its error, t in
-seconds without compiling. Deterministic rungs have none: beside their time stands their distance from adding–doubling.
+The figure of merit is 1/(σ² t), σ the root mean square over the wavelengths of what a solver states of its error, t in
+seconds without compiling. Deterministic solvers have none: beside their time stands their distance from
+adding–doubling.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import numpy as np
 
 from livlab.acquire.instruments.integrating_sphere import IntegratingSphere
 from livlab.acquire.instruments.models import Instrument
-from livlab.acquire.instruments.spectrometer import Accuracy, Sampling, Variant, estimate
+from livlab.acquire.instruments.spectrometer import Accuracy, SamplingRule, Variant, estimate
 from livlab.errors import InputError
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 
-RUNGS = ("kubelka-munk", "diffusion", "adding-doubling", "ledger", "walk analog", "walk expected", "auto")
+SOLVERS = ("kubelka-munk", "diffusion", "adding-doubling", "ledger", "walk analog", "walk expected", "auto")
 
 
 def spectrum(count: int = 221) -> OpticalStack:
@@ -50,24 +51,26 @@ def main() -> None:
     for name, stack in CASES:
         print(f"{name}, to {options.error:g}")
         exact = estimate(stack, sphere, Accuracy(standard_error=1e-6), "adding-doubling").value
-        for rung in RUNGS:
+        for solver in SOLVERS:
             try:
-                if rung in ("ledger", "walk analog", "walk expected"):  # compile
-                    estimate(stack, sphere, Accuracy(standard_error=1.0), rung, outside="warn", variant=options.variant)
+                if solver in ("ledger", "walk analog", "walk expected"):  # compile
+                    estimate(
+                        stack, sphere, Accuracy(standard_error=1.0), solver, outside="warn", variant=options.variant
+                    )
                 found = estimate(
-                    stack, sphere, wish, rung, outside="warn", sampling=Sampling(relative=0.1, seed=3),
+                    stack, sphere, wish, solver, outside="warn", sampling=SamplingRule(relative=0.1, seed=3),
                     variant=options.variant,
                 )  # fmt: skip
             except InputError as error:
-                print(f"  {rung:16s} {error.message}")
+                print(f"  {solver:16s} {error.message}")
                 continue
             sigma = float(np.sqrt(np.mean(np.square(found.standard_error))))
             off = float(np.abs(found.value - exact).max())
             merit = f"{1 / (sigma**2 * found.seconds):9.3g}" if sigma > 0 else "        –"
             mark = "" if found.valid.all() else "  outside its domain"
             print(
-                f"  {rung:16s} {found.seconds:8.3f} s {found.samples:12,d} samples  1/(σ²t) {merit}"
-                f"  off by {off:.1e} at most{mark}" + (f"  → {found.solver}" if rung == "auto" else "")
+                f"  {solver:16s} {found.seconds:8.3f} s {found.samples:12,d} samples  1/(σ²t) {merit}"
+                f"  off by {off:.1e} at most{mark}" + (f"  → {found.solver}" if solver == "auto" else "")
             )
 
 

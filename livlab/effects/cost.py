@@ -18,7 +18,7 @@ from livlab.effects.scene import OpticalScene
 from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic, Rayleigh
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer
 from livlab.model.transport.adding_doubling import adding_doubling
-from livlab.model.transport.moments import Moments, medium
+from livlab.model.transport.moments import Moments, layer_optics
 
 if TYPE_CHECKING:
     from livlab.units import FloatArray
@@ -56,7 +56,7 @@ def mean_steps(stack: OpticalStack, mu0: float) -> FloatArray:
     steps = np.zeros(width)
     for j, x in enumerate(stack.layers):
         rate = np.sum([i.rate for i in x.interactions], axis=0) if x.interactions else np.zeros(width)
-        own = np.array([medium(x, k, float(x.n[k]), known).absorption for k in range(width)])
+        own = np.array([layer_optics(x, k, float(x.n[k]), known).absorption for k in range(width)])
         path = absorbed[:, j] / (own + TRACE)
         # Light in all directions alike crosses a plane half as often as it passes a layer of its path's length.
         steps = steps + path * rate + (0.0 if math.isinf(x.thickness_mm) else 0.5 * path / x.thickness_mm)

@@ -11,7 +11,7 @@ from livlab.effects.plan import Plan, without
 from livlab.effects.scene import OpticalScene
 from livlab.errors import InputError
 from livlab.model.transport.device import Variant
-from livlab.model.transport.sampling import Sampling, Walks
+from livlab.model.transport.sampling import SamplingRule, Walks
 
 PILOT = 20_000
 
@@ -118,7 +118,7 @@ def _walk(scene: OpticalScene, samples: int, seed: int, variant: Variant) -> tup
     """Seconds, and the squared standard error of the value, mean over the wavelengths."""
     clock = time.process_time if variant == "llvm" else time.perf_counter
     view = scene.instrument.readout(scene.stack.n_above)
-    rule = Sampling(samples=samples, pilot=samples, largest_launch=10**9, seed=seed)
+    rule = SamplingRule(samples=samples, pilot=samples, largest_launch=10**9, seed=seed)
     started = clock()
     walks = Walks(scene.stack, view, rule, variant=variant)
     walks.go()

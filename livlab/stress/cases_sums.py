@@ -18,7 +18,7 @@ def lane_sums(contributions: list[float], photons: int) -> dict[str, Measured]:
     rounding of the squares; `float32`: what a single-precision sum alone makes of the mean, for the table.
     """
     from livlab.model.transport.device import device
-    from livlab.model.transport.tally import LANE_PHOTONS, Moments
+    from livlab.model.transport.tally import LANE_PHOTONS, SampleMoments
     from livlab.model.transport.walk.observers import Register
 
     d, lanes = device("llvm"), 1 << 14
@@ -33,7 +33,7 @@ def lane_sums(contributions: list[float], photons: int) -> dict[str, Measured]:
         state = (d.dr.zeros(d.UInt32, lanes), *Register.start(d, lanes))
         _, *sums = d.dr.while_loop(state, lambda k, *_: k < LANE_PHOTONS, body)
         block = Register.moments(tuple(sums), 1, lanes * LANE_PHOTONS)
-        total: Moments = block
+        total: SampleMoments = block
         for _ in range(blocks - 1):
             total = total + block
         means.append(float(total.mean[0]) / float(np.float32(x)))
@@ -69,15 +69,15 @@ def mixed_sums(photons: int, seed: int) -> dict[str, Measured]:
 
 @runner
 def host_sums(photons: float, parts: int) -> dict[str, Measured]:
-    """Moments of so many photons in unlike parts: the mean and the error of a coin, p = 0.3."""
-    from livlab.model.transport.tally import Moments
+    """SampleMoments of so many photons in unlike parts: the mean and the error of a coin, p = 0.3."""
+    from livlab.model.transport.tally import SampleMoments
 
     rng = np.random.default_rng(5)
     cuts = rng.dirichlet(np.ones(parts)) * photons
-    total: Moments | None = None
+    total: SampleMoments | None = None
     for n in np.maximum(np.rint(cuts), 1).astype(np.int64):
         hits = np.array([round(0.3 * int(n))], dtype=np.float64)
-        part = Moments(int(n), hits, hits)
+        part = SampleMoments(int(n), hits, hits)
         total = part if total is None else total + part
     assert total is not None
     error = math.sqrt(0.3 * 0.7 / total.n)

@@ -16,7 +16,7 @@ from livlab.model.tissue.phase.functions import HenyeyGreenstein, Isotropic
 from livlab.model.tissue.stack import Interaction, OpticalStack, PlaneLayer, plain_stack
 from livlab.model.transport.accuracy import Accuracy
 from livlab.model.transport.ladder.solve import pick, solve
-from livlab.model.transport.sampling import Sampling
+from livlab.model.transport.sampling import SamplingRule
 
 W = np.linspace(500.0, 720.0, 8)
 SPHERE = IntegratingSphere(port_diameter_mm="infinite", incidence_deg=0.0)
@@ -37,7 +37,7 @@ def truth():
 def test_a_relative_wish_is_met_and_the_error_is_honest(truth):
     """1 % of the maximum at every point. 8 values: each z within 3.7, χ² within 27.9 (false alarm in 1000 runs)."""
     wish = Accuracy(relative=0.01)
-    found = estimate(scene(), SPHERE, wish, "walk expected", sampling=Sampling(relative=0.5, seed=3))
+    found = estimate(scene(), SPHERE, wish, "walk expected", sampling=SamplingRule(relative=0.5, seed=3))
     error = found.error.to_numpy()
     assert (error <= 0.01 * found.value.to_numpy().max() * (1 + 1e-9)).all()
     z = (found.value.to_numpy() - truth) / error
@@ -98,7 +98,7 @@ def test_the_ledger_meets_a_wish_for_many_wavelengths(view):
     """One record answers 24 wavelengths: errors that go together, so a bound on each, 3.5, and none on their sum."""
     exact = estimate(many(), view, Accuracy(standard_error=1e-6), "adding-doubling").value.to_numpy()
     wish = Accuracy(relative=0.01)
-    found = estimate(many(), view, wish, "ledger", sampling=Sampling(relative=0.1, seed=4))
+    found = estimate(many(), view, wish, "ledger", sampling=SamplingRule(relative=0.1, seed=4))
     assert found.solver == "ledger"
     assert found.valid.all()
     error = found.error.to_numpy()
@@ -113,7 +113,7 @@ def test_a_ledger_of_a_sample_with_sides_reads_what_walks_do():
     view = Collinear(sample_side_mm=5.0, acceptance_deg=60.0)
     wish = Accuracy(relative=0.01)
     kept, walked = (
-        estimate(scene(), view, wish, solver, sampling=Sampling(relative=0.1, seed=6))
+        estimate(scene(), view, wish, solver, sampling=SamplingRule(relative=0.1, seed=6))
         for solver in ("ledger", "walk expected")
     )
     assert (np.abs(kept.value - walked.value) < 3.5 * np.hypot(kept.error, walked.error)).all()
@@ -126,7 +126,7 @@ def test_the_ledger_is_taken_for_many_wavelengths_where_it_is_sooner_done(monkey
     """Adding–doubling out of the way, 24 wavelengths to 0.03 %: a walk each, or one record for all."""
     monkeypatch.setattr("livlab.model.transport.ladder.pick.WORTH_NO_WALK", 0.0)
     view = SPHERE.readout(np.ones(24))
-    picked = pick(many(), view, Accuracy(relative=0.0003), sampling=Sampling(relative=0.1, seed=2))
+    picked = pick(many(), view, Accuracy(relative=0.0003), sampling=SamplingRule(relative=0.1, seed=2))
     assert {x for x in ("adding-doubling", "walk expected", "ledger") if x in picked.notes[0]} == {
         "adding-doubling",
         "walk expected",
@@ -166,7 +166,7 @@ def test_rings_of_the_dipole_are_off_by_less_than_it_says(absorption, n):
     scene = plain_stack([(n, absorption, 1.0, math.inf, Isotropic())])
     view = FibreProbe(distance_mm=6.0, fibre_radius_mm=1.5, numerical_aperture=1.0).readout(scene.n_above)
     dipole = solve(scene, view, solver="diffusion")
-    walked = solve(scene, view, Accuracy(relative=0.03), "walk expected", sampling=Sampling(relative=0.03, seed=2))
+    walked = solve(scene, view, Accuracy(relative=0.03), "walk expected", sampling=SamplingRule(relative=0.03, seed=2))
     assert dipole.valid.all()
     off = abs(float(dipole.value[0] - walked.value[0]))
     assert off <= float(dipole.error[0]) + 3 * float(walked.error[0])

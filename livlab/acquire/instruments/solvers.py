@@ -79,7 +79,7 @@ class WalkSolver(_Sampled):
     default_relative: ClassVar[float] = 0.002
 
     def rule(self, _: Accuracy | None = None) -> dict[str, Any]:
-        """What its walk is sampled by (`livlab.model.transport.sampling.Sampling`): its own rule."""
+        """What its walk is sampled by (`livlab.model.transport.sampling.SamplingRule`): its own rule."""
         return self.model_dump(exclude={"kind"})
 
 

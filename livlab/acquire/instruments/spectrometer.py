@@ -24,7 +24,7 @@ from livlab.model.transport.accuracy import Accuracy
 from livlab.model.transport.device import Variant
 from livlab.model.transport.geometry import Readout
 from livlab.model.transport.ladder.solve import Estimate, pick, solve
-from livlab.model.transport.sampling import BUDGET, Sampling, Walks
+from livlab.model.transport.sampling import BUDGET, SamplingRule, Walks
 from livlab.units import FloatArray
 
 __all__ = [
@@ -33,7 +33,7 @@ __all__ = [
     "Estimate",
     "MeasurementProgress",
     "OnRound",
-    "Sampling",
+    "SamplingRule",
     "Variant",
     "estimate",
     "measure",
@@ -136,10 +136,10 @@ def estimate(
     solver: str = "auto",
     *,
     outside: Literal["refuse", "warn"] = "refuse",
-    sampling: Sampling | None = None,
+    sampling: SamplingRule | None = None,
     variant: Variant = "llvm",
 ) -> Estimate:
-    """What an instrument reads over a stack by one rung of the ladder: `livlab.model.transport.ladder.solve.solve`.
+    """What an instrument reads over a stack by one solver of the ladder: `livlab.model.transport.ladder.solve.solve`.
 
     >>> from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
     >>> from livlab.model.tissue.phase.functions import Isotropic
@@ -212,9 +212,9 @@ def _take(walks: Walks, instrument: VirtualInstrument, earlier: xr.Dataset) -> N
     walks.take(earlier)
 
 
-def sampling_of(solver: WalkSolver | AutoSolver, accuracy: Accuracy | None = None) -> Sampling:
+def sampling_of(solver: WalkSolver | AutoSolver, accuracy: Accuracy | None = None) -> SamplingRule:
     """What rules a solver's walk; an accuracy replaces the walk's own rule."""
-    return Sampling(**solver.rule(accuracy))
+    return SamplingRule(**solver.rule(accuracy))
 
 
 def _by_adding_doubling(

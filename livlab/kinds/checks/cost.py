@@ -17,7 +17,7 @@ import xarray as xr
 
 from livlab.acquire.instruments.models import Instrument
 from livlab.acquire.instruments.solvers import WalkSolver
-from livlab.acquire.instruments.spectrometer import Accuracy, Estimate, Sampling, Variant, estimate, measure
+from livlab.acquire.instruments.spectrometer import Accuracy, Estimate, SamplingRule, Variant, estimate, measure
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.units import FloatArray
@@ -47,9 +47,9 @@ class CostRow:
     Attributes
     ----------
     solver
-        The rung.
+        Its name.
     samples
-        Over all wavelengths; 0 for a deterministic rung.
+        Over all wavelengths; 0 for a deterministic solver.
     seconds, compile_seconds
         By the clock, compiling apart; and what compiling took.
     error
@@ -131,7 +131,7 @@ def cost(
 
     Returns
     -------
-    Rows by solver and effort. A rung that cannot answer at all is left out.
+    Rows by solver and effort. A solver that cannot answer at all is left out.
 
     Raises
     ------
@@ -143,9 +143,9 @@ def cost(
     say = say or (lambda text: None)
     tried: list[_Tried] = []
     started = clock()
-    for rung in ("kubelka-munk", "diffusion"):
-        say(rung)
-        found = _answered(stack, instrument, rung, None)
+    for solver in ("kubelka-munk", "diffusion"):
+        say(solver)
+        found = _answered(stack, instrument, solver, None)
         tried += [_of(found)] if found is not None else []
     reference = None
     # One wavelength first: phase functions from tables can make the whole a matter of minutes.
@@ -201,13 +201,13 @@ def slope(rows: list[CostRow], solver: str) -> tuple[float, float]:
 def _answered(
     stack: OpticalStack,
     instrument: Instrument,
-    rung: str,
+    solver: str,
     accuracy: Accuracy | None,
-    sampling: Sampling | None = None,
+    sampling: SamplingRule | None = None,
     variant: Variant = "llvm",
 ) -> Estimate | None:
     try:
-        return estimate(stack, instrument, accuracy, rung, outside="warn", sampling=sampling, variant=variant)
+        return estimate(stack, instrument, accuracy, solver, outside="warn", sampling=sampling, variant=variant)
     except InputError:
         return None
 
@@ -231,7 +231,7 @@ def _longest(stack: OpticalStack, instrument: Instrument, seconds: float, seed: 
         instrument,
         Accuracy(seconds=seconds),
         "walk expected",
-        sampling=Sampling(relative=0.01, seed=seed),
+        sampling=SamplingRule(relative=0.01, seed=seed),
         variant=variant,
     )
     error = found.standard_error.to_numpy()
@@ -252,14 +252,19 @@ def _ledgers(
     while True:
         say(f"ledger: {len(out) + 1}")
         found = _answered(
-            stack, instrument, "ledger", Accuracy(standard_error=wish), Sampling(relative=0.1, seed=seed), variant
+            stack, instrument, "ledger", Accuracy(standard_error=wish), SamplingRule(relative=0.1, seed=seed), variant
         )
         if found is None or not found.samples:
             return out
         if wish == 1e3:
             # The first, with no wish to speak of, also loads the compiler: again, for the time.
             found = _answered(
-                stack, instrument, "ledger", Accuracy(standard_error=wish), Sampling(relative=0.1, seed=seed), variant
+                stack,
+                instrument,
+                "ledger",
+                Accuracy(standard_error=wish),
+                SamplingRule(relative=0.1, seed=seed),
+                variant,
             )
             assert found is not None
         valid = bool(found.valid.all())

@@ -26,8 +26,8 @@ from livlab.model.transport.doubling import (
     redistribution,
 )
 from livlab.model.transport.fresnel import fresnel, incoherent_stack
-from livlab.model.transport.moments import Medium, Moments, medium
-from livlab.model.transport.quadrature import Grid
+from livlab.model.transport.moments import LayerOptics, Moments, layer_optics
+from livlab.model.transport.quadrature import AngularGrid
 from livlab.units import FloatArray
 
 __all__ = ["adding_doubling", "cone_fraction", "exit_flux"]
@@ -52,7 +52,7 @@ class _Fluxes:
 class _Level:
     """What one node count gives: fluxes of the beam and of diffuse light, the beam's exit flux per solid angle."""
 
-    grid: Grid
+    grid: AngularGrid
     beam: _Fluxes
     diffuse: _Fluxes
     angular_up: FloatArray
@@ -157,13 +157,13 @@ def _solve(
     if math.isinf(stack.layers[-1].thickness_mm):
         n_below = own[-1]
     indices = [n_above, *own, n_below]
-    first = Grid.of(indices, 4, (n_above, mu0))
+    first = AngularGrid.of(indices, 4, (n_above, mu0))
     beam = (first.snap(n_above), mu0)
-    media = [medium(layer, index, first.snap(n), moments) for layer, n in zip(stack.layers, own, strict=True)]
+    media = [layer_optics(layer, index, first.snap(n), moments) for layer, n in zip(stack.layers, own, strict=True)]
     counts = LEVELS if nodes is None else (max(4, 2 * int(nodes) // 3), int(nodes))
     previous, error, last, level, used = None, math.inf, 0.0, None, 0
     for used in counts:
-        level = _level(Grid.of(indices, used, beam), first.snap(n_above), media, first.snap(n_below))
+        level = _level(AngularGrid.of(indices, used, beam), first.snap(n_above), media, first.snap(n_below))
         if previous is not None:
             # With 4 nodes asked both counts coincide: then nothing is known of the error.
             step = level.distance(previous[1]) if previous[0] < used else math.nan
@@ -180,7 +180,7 @@ def _solve(
     return _Solved(level, error, used, specular, max(up - specular, 0.0), down)
 
 
-def _level(grid: Grid, n_above: float, media: list[Medium], n_below: float) -> _Level:
+def _level(grid: AngularGrid, n_above: float, media: list[LayerOptics], n_below: float) -> _Level:
     """Solve at one node count, from the bottom up."""
     scatter: dict[tuple[float, bytes], tuple[FloatArray, FloatArray]] = {}
     below = clear_below(len(grid.active(n_below)))
@@ -197,7 +197,7 @@ def _level(grid: Grid, n_above: float, media: list[Medium], n_below: float) -> _
     return _totals(grid, n_above, n_below, below)
 
 
-def _totals(grid: Grid, n_above: float, n_below: float, whole: Below) -> _Level:
+def _totals(grid: AngularGrid, n_above: float, n_below: float, whole: Below) -> _Level:
     flux = grid.flux()
     upper, lower = grid.active(n_above), grid.active(n_below)
     diffuse = flux[upper] / flux[upper].sum()

@@ -9,7 +9,7 @@ import xarray as xr
 
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
-from livlab.model.transport.quadrature import Grid, gauss_legendre, interval_cosines, interval_place, lagrange
+from livlab.model.transport.quadrature import AngularGrid, gauss_legendre, interval_cosines, interval_place, lagrange
 from livlab.units import FloatArray
 
 ANGLES = 64
@@ -104,7 +104,7 @@ def cone_fraction(result: xr.Dataset, mu_min: float) -> xr.DataArray:
     return total
 
 
-def flux_at(grid: Grid, known: FloatArray, sine: FloatArray) -> FloatArray:
+def flux_at(grid: AngularGrid, known: FloatArray, sine: FloatArray) -> FloatArray:
     """Interpolate flux per solid angle from an outer medium's nodes to other sines.
 
     The flux, not the radiance: that of a thin film rises as 1/µ towards grazing.
@@ -120,9 +120,9 @@ def flux_at(grid: Grid, known: FloatArray, sine: FloatArray) -> FloatArray:
     return values
 
 
-def angular_grid(stack: OpticalStack, outside: FloatArray) -> Grid:
+def angular_grid(stack: OpticalStack, outside: FloatArray) -> AngularGrid:
     """Exit directions common to all wavelengths, broken at the critical angles of rarer layers."""
     top = float(outside.mean())
     rarer = [float(x.n.mean()) for x in stack.layers if float(x.n.mean()) < top]
-    grid = Grid.of([*rarer, top], ANGLES, (top, 1.0))
-    return Grid(grid.breaks, (ANGLES,) * len(grid.breaks), grid.beam)
+    grid = AngularGrid.of([*rarer, top], ANGLES, (top, 1.0))
+    return AngularGrid(grid.breaks, (ANGLES,) * len(grid.breaks), grid.beam)

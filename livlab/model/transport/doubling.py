@@ -1,4 +1,4 @@
-"""Matrices of plane layers on the nodes of a `quadrature.Grid`: a thin layer, doubled, and stacks added.
+"""Matrices of plane layers on the nodes of a `quadrature.AngularGrid`: a thin layer, doubled, and stacks added.
 
 Entry [i, j] of a matrix is the flux that leaves in node i for unit flux that enters in node j, so column
 sums are energy and a beam without width is simply a column. Absorption is carried along as a row of its
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg.lapack import dgesv, dgetrs
 
 from livlab.model.transport.fresnel import fresnel
-from livlab.model.transport.quadrature import Grid, legendre_table
+from livlab.model.transport.quadrature import AngularGrid, legendre_table
 from livlab.units import FloatArray
 
 _NEARLY_CLOSED = 1e-3
@@ -50,7 +50,7 @@ class Below:
         return lost
 
 
-def redistribution(grid: Grid, n: float, moments: FloatArray) -> tuple[FloatArray, FloatArray]:
+def redistribution(grid: AngularGrid, n: float, moments: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Forward and backward scattering matrices: share of light scattered out of node j that goes into i.
 
     S± = Σ_l (±1)^l (l + ½) χ_l V_l V_lᵀ over the nodes' solid angles. What quadrature leaves of the column
@@ -210,7 +210,7 @@ def add_layer(layer: tuple[FloatArray, FloatArray, FloatArray], below: Below) ->
     )
 
 
-def add_interface(grid: Grid, n_above: float, n_below: float, below: Below) -> Below:
+def add_interface(grid: AngularGrid, n_above: float, n_below: float, below: Below) -> Below:
     """Lay a Fresnel interface upon what is below it; nodes that only one side holds are totally reflected."""
     if n_above == n_below:
         return below

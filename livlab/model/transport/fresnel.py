@@ -109,13 +109,13 @@ def diffuse_fresnel(n_from: float, n_to: float) -> float:
     >>> round(diffuse_fresnel(1.0, 1.5), 6), round(diffuse_fresnel(1.5, 1.0), 6)
     (0.091778, 0.596346)
     """
-    from livlab.model.transport.quadrature import SAME_INDEX, Grid
+    from livlab.model.transport.quadrature import SAME_INDEX, AngularGrid
 
     _checked(n_from, n_to, 1.0)
     if abs(n_to - n_from) <= SAME_INDEX * n_from:
         return 0.0
     rare = min(n_from, n_to)
-    grid = Grid.of((n_from, n_to), 48, (rare, 1.0))
+    grid = AngularGrid.of((n_from, n_to), 48, (rare, 1.0))
     shared = grid.active(rare)[1:]
     enters = grid.flux()[shared] @ (1.0 - fresnel(rare, max(n_from, n_to), grid.cosines(rare)[1:]))
     return float(1.0 - enters / (0.5 * n_from * n_from))

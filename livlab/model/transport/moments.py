@@ -16,7 +16,7 @@ from livlab.units import FloatArray
 
 
 @dataclass(frozen=True)
-class Medium:
+class LayerOptics:
     """One layer at one wavelength: mm, 1/mm, and the moments of its phase function."""
 
     n: float
@@ -77,15 +77,15 @@ def _asked(phase: Phase, highest: int, negligible: float) -> FloatArray:
 _kept = lru_cache(maxsize=512)(_asked)
 
 
-def medium(layer: PlaneLayer, index: int, n: float, moments: Moments) -> Medium:
+def layer_optics(layer: PlaneLayer, index: int, n: float, moments: Moments) -> LayerOptics:
     """A layer's coefficients at one wavelength, the short free paths' absorption included."""
     absorption, parts = _rates(layer, index)
     scattering, chi = moments.layer(parts) if parts else (0.0, np.ones(1))
-    return Medium(n, layer.thickness_mm, absorption, scattering, chi)
+    return LayerOptics(n, layer.thickness_mm, absorption, scattering, chi)
 
 
 def reduced_coefficients(layer: PlaneLayer) -> tuple[FloatArray, FloatArray]:
-    """(W,) µ_a and µ_s' = Σ µ_s (1 − g) in 1/mm, short free paths as in `medium`."""
+    """(W,) µ_a and µ_s' = Σ µ_s (1 − g) in 1/mm, short free paths as in `layer_optics`."""
     absorption, reduced = np.zeros(len(layer.n)), np.zeros(len(layer.n))
     for k in range(len(layer.n)):
         absorption[k], parts = _rates(layer, k)

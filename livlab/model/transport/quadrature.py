@@ -55,7 +55,7 @@ def lagrange(count: int, at: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Grid:
+class AngularGrid:
     """Nodes of the transverse sine: a beam of zero width first, then the intervals' nodes.
 
     Attributes
@@ -73,7 +73,7 @@ class Grid:
     beam: tuple[float, float]
 
     @classmethod
-    def of(cls, indices: Iterable[float], nodes: int, beam: tuple[float, float]) -> Grid:
+    def of(cls, indices: Iterable[float], nodes: int, beam: tuple[float, float]) -> AngularGrid:
         """Break at every index; a narrow interval gets fewer nodes than the `nodes` of a wide one."""
         breaks: list[float] = []
         for n in sorted(indices):
@@ -163,7 +163,7 @@ def interval_place(low: float, high: float, sine: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def legendre_table(grid: Grid, n: float, order: int) -> FloatArray:
+def legendre_table(grid: AngularGrid, n: float, order: int) -> FloatArray:
     """Projections V[l, i] = ∫ ℓ_i(µ) P_l(µ) dµ on the nodes of a medium; (order + 1, nodes).
 
     ℓ_i is node i's cardinal function (a polynomial in t, zero outside the interval), integrated by a finer

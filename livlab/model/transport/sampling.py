@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.geometry import Readout
-from livlab.model.transport.tally import Moments
+from livlab.model.transport.tally import SampleMoments
 from livlab.model.transport.walk.tables import Estimator
 from livlab.units import FloatArray
 
@@ -39,7 +39,7 @@ Clock = Callable[[], float]
 
 
 @dataclass(frozen=True)
-class Sampling:
+class SamplingRule:
     """What rules the sampling: one of `samples`, `standard_error`, `relative` and `seconds`; and its limits.
 
     Attributes
@@ -104,7 +104,7 @@ class Walks:
         self,
         stack: OpticalStack,
         view: Readout,
-        rule: Sampling,
+        rule: SamplingRule,
         *,
         variant: str = "llvm",
         clock: Clock = time.perf_counter,
@@ -224,7 +224,7 @@ class Walks:
             variant=self.variant,  # type: ignore[arg-type]
         )
         for name in BUDGET:
-            self._add(name, active, Moments.from_mean(samples, *_pair(part, name)))
+            self._add(name, active, SampleMoments.from_mean(samples, *_pair(part, name)))
         self._add_value(active, samples, part)
         self.specular[active] = part["specular"].to_numpy()
         self.unfinished[active] += part["unfinished"].to_numpy()
@@ -279,13 +279,13 @@ class Walks:
         n = np.maximum(self.samples, 1).astype(np.float64)
         return n[:, None] if self._total[name].ndim == 2 else n
 
-    def _add(self, name: str, at: NDArray[np.intp], sums: Moments) -> None:
+    def _add(self, name: str, at: NDArray[np.intp], sums: SampleMoments) -> None:
         self._total[name][at] += sums.total
         self._squares[name][at] += sums.squares
 
     def _add_value(self, at: NDArray[np.intp], samples: int, part: xr.Dataset) -> None:
         binned = self.view.tally.binned
-        sums = Moments.from_mean(samples, *_pair(part, "reflectance_binned" if binned else "reflectance"))
+        sums = SampleMoments.from_mean(samples, *_pair(part, "reflectance_binned" if binned else "reflectance"))
         total, squares = (x if binned else x[:, None, None] for x in (sums.total, sums.squares))
         # A photon leaves once, so it is in one bin: the squares of the weighted sum add without cross terms.
         self._total["value"][at] += np.einsum("wtr,tr->w", total, self.view.weights)

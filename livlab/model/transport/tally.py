@@ -91,10 +91,10 @@ def _edges(field: str, values: Sequence[float], top: float) -> tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Moments:
+class SampleMoments:
     """Sum and sum of squares of one contribution a photon, over n photons.
 
-    >>> m = Moments.of(np.array([0.0, 1.0, 1.0, 0.0]))
+    >>> m = SampleMoments.of(np.array([0.0, 1.0, 1.0, 0.0]))
     >>> float(m.mean), round(float(m.standard_error), 6)
     (0.5, 0.288675)
     """
@@ -104,20 +104,20 @@ class Moments:
     squares: FloatArray
 
     @classmethod
-    def of(cls, values: FloatArray) -> Moments:
+    def of(cls, values: FloatArray) -> SampleMoments:
         """From the contributions themselves, photons along the last axis."""
         v = np.asarray(values, dtype=np.float64)
         return cls(v.shape[-1], v.sum(-1), (v * v).sum(-1))
 
     @classmethod
-    def from_mean(cls, n: int, mean: FloatArray, standard_error: FloatArray) -> Moments:
+    def from_mean(cls, n: int, mean: FloatArray, standard_error: FloatArray) -> SampleMoments:
         """The sums that a mean and its standard error came from."""
         mean = np.asarray(mean, dtype=np.float64)
         spread = np.asarray(standard_error, dtype=np.float64) ** 2 * (n - 1.0) * n if n > 1 else np.zeros_like(mean)
         return cls(n, mean * n, spread + n * mean**2)
 
-    def __add__(self, other: Moments) -> Moments:
-        return Moments(self.n + other.n, self.total + other.total, self.squares + other.squares)
+    def __add__(self, other: SampleMoments) -> SampleMoments:
+        return SampleMoments(self.n + other.n, self.total + other.total, self.squares + other.squares)
 
     @property
     def mean(self) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The two approximate rungs as an instrument reads them: two fluxes, and diffusion's dipole."""
+"""The two approximate solvers as an instrument reads them: two fluxes, and diffusion's dipole."""
 
 from __future__ import annotations
 

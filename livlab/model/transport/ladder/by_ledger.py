@@ -1,4 +1,4 @@
-"""The ledger as a rung: one recorded walk for all wavelengths, in a pilot and, where that is not enough, in full."""
+"""The ledger as a solver: one recorded walk for all wavelengths, in a pilot and, where that is not enough, in full."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where each rung of the ladder holds: at which wavelengths of a stack, seen how, and why not elsewhere."""
+"""Where each solver of the ladder holds: at which wavelengths of a stack, seen how, and why not elsewhere."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from livlab.model.transport.geometry import Readout
 from livlab.model.transport.moments import reduced_coefficients
 from livlab.units import FloatArray
 
-Rung = Literal["kubelka-munk", "diffusion", "adding-doubling", "ledger", "walk analog", "walk expected"]
-RUNGS: tuple[Rung, ...] = get_args(Rung)
+SolverName = Literal["kubelka-munk", "diffusion", "adding-doubling", "ledger", "walk analog", "walk expected"]
+SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
 """From the crudest to the most general."""
 
 DIFFUSION_NEAREST = 4.0
@@ -30,11 +30,11 @@ DIFFUSION_STEEPEST = math.radians(20.0)
 
 @dataclass(frozen=True)
 class Domain:
-    """Where a rung holds.
+    """Where a solver holds.
 
     Attributes
     ----------
-    rung
+    solver
         Its name.
     valid
         (W,) whether it holds at each wavelength.
@@ -46,7 +46,7 @@ class Domain:
         What to use where it does not hold.
     """
 
-    rung: Rung
+    solver: SolverName
     valid: NDArray[np.bool_]
     reasons: tuple[str, ...]
     possible: bool
@@ -54,14 +54,14 @@ class Domain:
 
     def refusal(self) -> InputError:
         """The error that says why, and what to use."""
-        return InputError.of("solver", self.rung, "; ".join(self.reasons), f"Use {self.instead}.")
+        return InputError.of("solver", self.solver, "; ".join(self.reasons), f"Use {self.instead}.")
 
 
 class _Judge:
-    """Gathers objections to a rung."""
+    """Gathers objections to a solver."""
 
-    def __init__(self, rung: Rung, stack: OpticalStack, instead: str) -> None:
-        self._rung, self._instead, self._nm = rung, instead, stack.wavelength_nm
+    def __init__(self, solver: SolverName, stack: OpticalStack, instead: str) -> None:
+        self._solver, self._instead, self._nm = solver, instead, stack.wavelength_nm
         self._valid = np.ones(len(self._nm), dtype=bool)
         self._reasons: list[str] = []
         self._possible = True
@@ -81,16 +81,16 @@ class _Judge:
         self._reasons.append(reason + at)
 
     def verdict(self) -> Domain:
-        return Domain(self._rung, self._valid, tuple(self._reasons), self._possible, self._instead)
+        return Domain(self._solver, self._valid, tuple(self._reasons), self._possible, self._instead)
 
 
-def domain(rung: str, stack: OpticalStack, view: Readout) -> Domain:
-    """Where a rung holds for a stack and what is asked of it.
+def domain(solver: str, stack: OpticalStack, view: Readout) -> Domain:
+    """Where a solver holds for a stack and what is asked of it.
 
     Parameters
     ----------
-    rung
-        One of `RUNGS`.
+    solver
+        One of `SOLVERS`.
     stack
         The layers.
     view
@@ -99,7 +99,7 @@ def domain(rung: str, stack: OpticalStack, view: Readout) -> Domain:
     Raises
     ------
     InputError
-        If there is no such rung.
+        If there is no such solver.
 
     Examples
     --------
@@ -110,17 +110,17 @@ def domain(rung: str, stack: OpticalStack, view: Readout) -> Domain:
     >>> domain("kubelka-munk", thin, total_reflectance()).reasons
     ('a reduced depth of 1 is too thin for two fluxes (3 at least)',)
     """
-    if rung == "kubelka-munk":
+    if solver == "kubelka-munk":
         return _kubelka_munk(stack, view)
-    if rung == "diffusion":
+    if solver == "diffusion":
         return _diffusion(stack, view)
-    if rung == "adding-doubling":
+    if solver == "adding-doubling":
         return _adding_doubling(stack, view)
-    if rung == "ledger":
+    if solver == "ledger":
         return _ledger(stack, view)
-    if rung in ("walk analog", "walk expected"):
-        return _Judge(cast(Rung, rung), stack, "nothing else").verdict()
-    raise InputError.of("solver", rung, f"must be auto or one of {', '.join(RUNGS)}", "Name one of them.")
+    if solver in ("walk analog", "walk expected"):
+        return _Judge(cast(SolverName, solver), stack, "nothing else").verdict()
+    raise InputError.of("solver", solver, f"must be auto or one of {', '.join(SOLVERS)}", "Name one of them.")
 
 
 def whole_plane(view: Readout) -> bool:

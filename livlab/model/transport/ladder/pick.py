@@ -1,4 +1,4 @@
-"""Which rung: the cheapest that holds everywhere and can meet the wish, by what short trials of each take."""
+"""Which solver: the cheapest that holds everywhere and can meet the wish, by what short trials of each take."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from livlab.model.transport.ladder.approximate import (
     kubelka_munk_value,
 )
 from livlab.model.transport.ladder.by_ledger import Recorded, pilot, seconds_for
-from livlab.model.transport.ladder.domain import RUNGS, domain
-from livlab.model.transport.sampling import Clock, Sampling, Walks
+from livlab.model.transport.ladder.domain import SOLVERS, domain
+from livlab.model.transport.sampling import Clock, SamplingRule, Walks
 from livlab.model.transport.walk.tables import Estimator
 
 WORTH_NO_WALK = 3.0
@@ -41,12 +41,12 @@ LEAST_WAVELENGTHS = 8
 
 @dataclass(frozen=True)
 class Picked:
-    """A rung, and what its choice has already brought.
+    """A solver, and what its choice has already brought.
 
     Attributes
     ----------
     solver
-        The rung.
+        Its name.
     seconds
         Time it was thought to take, if that was gauged.
     tolerance
@@ -56,7 +56,7 @@ class Picked:
     recorded
         For the ledger: its pilot.
     notes
-        Why this rung.
+        Why this solver.
     """
 
     solver: str
@@ -73,11 +73,11 @@ def pick(
     accuracy: Accuracy,
     *,
     account: bool = False,
-    sampling: Sampling | None = None,
+    sampling: SamplingRule | None = None,
     variant: str = "llvm",
     clock: Clock = time.perf_counter,
 ) -> Picked:
-    """Choose the cheapest rung that can meet a wish.
+    """Choose the cheapest solver that can meet a wish.
 
     Two fluxes and diffusion answer where they hold and the wish is no finer than what they are off. Adding–doubling
     answers where it holds at every wavelength, unless a piloted walk would be done before it. Else the walk of
@@ -129,12 +129,12 @@ def pick(
     return replace(best, notes=(f"auto: {best.solver}; {said}{more}",))
 
 
-def rule_of(accuracy: Accuracy, rung: str, sampling: Sampling | None = None) -> Sampling:
+def rule_of(accuracy: Accuracy, solver: str, sampling: SamplingRule | None = None) -> SamplingRule:
     """What rules a walk that is to meet a wish: limits and seed as given, rule and estimator replaced."""
-    if rung not in RUNGS:
-        raise InputError.of("solver", rung, f"must be auto or one of {', '.join(RUNGS)}", "Name one of them.")
-    base = sampling or Sampling(relative=0.01)
-    estimator = cast(Estimator, rung.removeprefix("walk ")) if rung.startswith("walk ") else base.estimator
+    if solver not in SOLVERS:
+        raise InputError.of("solver", solver, f"must be auto or one of {', '.join(SOLVERS)}", "Name one of them.")
+    base = sampling or SamplingRule(relative=0.01)
+    estimator = cast(Estimator, solver.removeprefix("walk ")) if solver.startswith("walk ") else base.estimator
     return replace(base, samples=None, estimator=estimator, **accuracy.model_dump())
 
 
@@ -152,18 +152,18 @@ def _ledger(stack: OpticalStack, view: Readout, seed: int, variant: str, clock: 
 def _crude(stack: OpticalStack, view: Readout, accuracy: Accuracy) -> Picked | None:
     """Two fluxes or diffusion, if what they are off is no more than wished; the better of the two first."""
     ring = bool(view.tally.radius_edges)
-    for rung, bound, of in (
+    for solver, bound, of in (
         ("diffusion", DIFFUSION_RING_BOUND if ring else DIFFUSION_BOUND, diffusion_value),
         ("kubelka-munk", KUBELKA_MUNK_BOUND, kubelka_munk_value),
     ):
         if accuracy.relative is not None and accuracy.relative < bound:
             continue
-        if not domain(rung, stack, view).valid.all():
+        if not domain(solver, stack, view).valid.all():
             continue
         value = of(stack, view)
         target = accuracy.target(value)
         if target is not None and float(bound * value.max()) <= target:
-            return Picked(rung, 0.0, None, None, (f"auto: {rung}, off by at most {100 * bound:g} % here",))
+            return Picked(solver, 0.0, None, None, (f"auto: {solver}, off by at most {100 * bound:g} % here",))
     return None
 
 

@@ -1,7 +1,7 @@
-"""The ladder of solvers: one question, one form of answer, and the cheapest rung that can meet a wish.
+"""The ladder of solvers: one question, one form of answer, and the cheapest solver that can meet a wish.
 
 From the crudest to the most general: two fluxes, diffusion's dipole, adding–doubling, the ledger, random walk. Each
-states where it holds (`ladder_domain`); outside it is refused, or answers with a warning.
+states where it holds (`ladder.domain`); outside it is refused, or answers with a warning.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from livlab.model.transport.ladder.approximate import (
     kubelka_munk_value,
 )
 from livlab.model.transport.ladder.by_ledger import until_met
-from livlab.model.transport.ladder.domain import RUNGS, Domain, Rung, domain, listed
+from livlab.model.transport.ladder.domain import SOLVERS, Domain, SolverName, domain, listed
 from livlab.model.transport.ladder.pick import Picked, pick, rule_of, tolerance_of
-from livlab.model.transport.sampling import Clock, Sampling, Walks
+from livlab.model.transport.sampling import Clock, SamplingRule, Walks
 from livlab.units import FloatArray
 
-__all__ = ["RUNGS", "Accuracy", "Domain", "Estimate", "Picked", "Rung", "domain", "pick", "solve"]
+__all__ = ["SOLVERS", "Accuracy", "Domain", "Estimate", "Picked", "SolverName", "domain", "pick", "solve"]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a rung says of an instrument's reading, and how far to believe it. Arrays are on `wavelength` in nm.
+    """What a solver says of an instrument's reading, and how far to believe it. Arrays are on `wavelength` in nm.
 
     Attributes
     ----------
     value
         The reading.
     standard_error
-        Its random error; 0 for a deterministic rung.
+        Its random error; 0 for a deterministic solver.
     systematic
         Bound of its other errors: adding–doubling's own estimate, what two fluxes and diffusion are off within
         their domain; NaN outside the domain, where nobody knows.
     seconds, samples
-        What it took, by the clock, and samples over all wavelengths (0 for a deterministic rung).
+        What it took, by the clock, and samples over all wavelengths (0 for a deterministic solver).
     valid
-        Whether the rung holds at each wavelength.
+        Whether the solver holds at each wavelength.
     solver
-        The rung.
+        Its name.
     notes
         Why it was chosen, what it does not know, what was not reached.
     """
@@ -82,7 +82,7 @@ class Estimate:
         return together
 
     def text(self) -> list[str]:
-        """The values, with no digit that the error does not support; "?" follows where the rung does not hold.
+        """The values, with no digit that the error does not support; "?" follows where the solver does not hold.
 
         >>> w = {"wavelength": [500.0]}
         >>> a, b, c = (xr.DataArray([x], coords=w, dims="wavelength") for x in (0.123456, 0.0021, 0.0))
@@ -115,11 +115,11 @@ def solve(
     solver: str = "auto",
     *,
     outside: Literal["refuse", "warn"] = "refuse",
-    sampling: Sampling | None = None,
+    sampling: SamplingRule | None = None,
     variant: str = "llvm",
     clock: Clock = time.perf_counter,
 ) -> Estimate:
-    """What an instrument reads over a stack, as exactly as wished, by one rung of the ladder.
+    """What an instrument reads over a stack, as exactly as wished, by one solver of the ladder.
 
     Parameters
     ----------
@@ -131,9 +131,9 @@ def solve(
     accuracy
         The wish; 1 % of the curve's maximum if none is given.
     solver
-        "auto" takes the cheapest rung that can meet the wish; or one of `RUNGS`.
+        "auto" takes the cheapest solver that can meet the wish; or one of `SOLVERS`.
     outside
-        What to do where the rung holds at no wavelength: refuse, or answer all the same and warn. Where it holds at
+        What to do where the solver holds at no wavelength: refuse, or answer all the same and warn. Where it holds at
         some, it answers; `valid` and `notes` say where.
     sampling
         Seed, pilot and limits of a walk; its rule and estimator are replaced.
@@ -149,7 +149,7 @@ def solve(
     Raises
     ------
     InputError
-        No such rung; or one that cannot answer here, or (unless warned only) holds nowhere: the message says why and
+        No such solver; or one that cannot answer here, or (unless warned only) holds nowhere: the message says why and
         what to use.
 
     Examples

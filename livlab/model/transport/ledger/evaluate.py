@@ -50,7 +50,7 @@ class Exponents:
 def exponents(
     sets: Coefficients, anchors: Anchors, k: int, level: FloatArray, scaled: bool, counted: tuple[int, ...]
 ) -> Exponents:
-    """Those of anchor k's rows; `level` (S, L) from `ledger_plan.levels`."""
+    """Those of anchor k's rows; `level` (S, L) from `plan.levels`."""
     factor = similar(sets, anchors, k, level, scaled)
     s = sets.scattering * factor
     own, extinction = anchors.scattering[k], anchors.extinction[k]

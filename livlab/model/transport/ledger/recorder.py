@@ -12,7 +12,7 @@ from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.device import Device, Variant
 from livlab.model.transport.ledger.data import Entries, bins_of, sort_entries
 from livlab.model.transport.source import Source
-from livlab.model.transport.tally import Moments, Tally
+from livlab.model.transport.tally import SampleMoments, Tally
 from livlab.model.transport.walk.columns import Columns, Settings
 from livlab.model.transport.walk.kernel import trace
 from livlab.model.transport.walk.observers import End, Step
@@ -78,7 +78,7 @@ class Record:
         clear = tuple(tuple(dr.select(end.done, 0.0, x) for x in group) for group in (paths, counts))
         return clear[0], clear[1], slot + dr.select(kept, d.UInt32(1), d.UInt32(0))
 
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, SampleMoments]:
         """No sums: see `rows`."""
         return {}
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from livlab.model.transport.device import Device
-from livlab.model.transport.tally import FIXED_POINT, Moments, Tally
+from livlab.model.transport.tally import FIXED_POINT, SampleMoments, Tally
 from livlab.model.transport.walk.observers import End, Step
 from livlab.units import FloatArray
 
@@ -82,12 +82,12 @@ class Bins(SharedBins):
         dr.if_stmt(args, leaves, add, lambda leaves, *_: leaves)
         return state
 
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, SampleMoments]:
         """(W, θ, r) for the light that leaves upwards and downwards."""
         total, squares = self.sums(wavelengths, 2)
         return {
-            "reflectance_binned": Moments(samples, total[:, 0], squares[:, 0]),
-            "transmittance_binned": Moments(samples, total[:, 1], squares[:, 1]),
+            "reflectance_binned": SampleMoments(samples, total[:, 0], squares[:, 0]),
+            "transmittance_binned": SampleMoments(samples, total[:, 1], squares[:, 1]),
         }
 
 
@@ -114,6 +114,6 @@ class Directions(SharedBins):
         dr.if_stmt(args, end.up, add, lambda leaves, *_: leaves)
         return state
 
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, SampleMoments]:
         """(W, θ, φ) for the light that leaves upwards."""
-        return {"reflectance_directed": Moments(samples, *self.sums(wavelengths))}
+        return {"reflectance_directed": SampleMoments(samples, *self.sums(wavelengths))}

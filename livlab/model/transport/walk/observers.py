@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from livlab.model.transport.device import Device
-from livlab.model.transport.tally import LANE_FIXED_POINT, Moments
+from livlab.model.transport.tally import LANE_FIXED_POINT, SampleMoments
 from livlab.units import FloatArray
 
 
@@ -97,7 +97,7 @@ class Observer(Protocol):
         """State after photons ended; what belongs to one photon is cleared where `end.done`."""
         ...
 
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, SampleMoments]:
         """Sums over all lanes, wavelengths first."""
         ...
 
@@ -128,10 +128,10 @@ class Register:
         return sums[0] + d.Int32(whole), sums[1] + (units - whole), d.dr.fma(v, v, sums[2])
 
     @staticmethod
-    def moments(sums: tuple[Any, Any, Any], wavelengths: int, samples: int) -> Moments:
+    def moments(sums: tuple[Any, Any, Any], wavelengths: int, samples: int) -> SampleMoments:
         """Sums over lanes, (W,)."""
         units, rest, squares = (_by_wavelength(x, wavelengths) for x in sums)
-        return Moments(samples, (units + rest) / LANE_FIXED_POINT, squares)
+        return SampleMoments(samples, (units + rest) / LANE_FIXED_POINT, squares)
 
 
 @dataclass(frozen=True)
@@ -174,15 +174,15 @@ class Totals:
             sums["redirect_loss"], loss = half, d.dr.select(end.done, 0.0, loss)
         return sums, loss, count + d.dr.select(end.unfinished, d.UInt32(1), d.UInt32(0))
 
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, SampleMoments]:
         """(W,) each."""
         sums, _, count = state
         out = {name: Register.moments(x, wavelengths, samples) for name, x in sums.items()}
         if self.redirects:
             half = out["redirect_loss"]
-            out["redirect_loss"] = Moments(samples, 2.0 * half.total, 4.0 * half.squares)
+            out["redirect_loss"] = SampleMoments(samples, 2.0 * half.total, 4.0 * half.squares)
         stopped = _by_wavelength(count, wavelengths)
-        return out | {"unfinished": Moments(samples, stopped, stopped)}
+        return out | {"unfinished": SampleMoments(samples, stopped, stopped)}
 
 
 @dataclass(frozen=True)
@@ -208,8 +208,8 @@ class Absorbed:
             (d.dr.select(end.done, 0.0, photon), Register.add(d, sums, end.done, photon)) for photon, sums in state
         )
 
-    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, Moments]:
+    def result(self, d: Device, state: Any, wavelengths: int, samples: int) -> dict[str, SampleMoments]:
         """(W, L)."""
         parts = [Register.moments(sums, wavelengths, samples) for _, sums in state]
         total, squares = np.stack([m.total for m in parts], 1), np.stack([m.squares for m in parts], 1)
-        return {"absorbed": Moments(samples, total, squares)}
+        return {"absorbed": SampleMoments(samples, total, squares)}

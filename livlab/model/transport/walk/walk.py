@@ -22,7 +22,7 @@ from livlab.model.tissue.stack import OpticalStack
 from livlab.model.transport.device import BATCH_PHOTONS, LANES, Device, Variant, device
 from livlab.model.transport.fresnel import fresnel
 from livlab.model.transport.source import Source, check_half_width
-from livlab.model.transport.tally import LANE_PHOTONS, LAUNCH_PHOTONS, Moments, Tally
+from livlab.model.transport.tally import LANE_PHOTONS, LAUNCH_PHOTONS, SampleMoments, Tally
 from livlab.model.transport.walk.bins import Bins, Directions
 from livlab.model.transport.walk.columns import Columns, Settings
 from livlab.model.transport.walk.kernel import trace
@@ -137,7 +137,7 @@ def walk(
     t = tables(stack, estimator)
     wavelengths = len(stack.wavelength_nm)
     batches = _batches(samples, max(1, batch_photons // wavelengths))
-    total: dict[str, Moments] = {}
+    total: dict[str, SampleMoments] = {}
     compiling, done = 0.0, 0
     launcher = _Launcher(d, t, source, tally, half_width_mm, max_steps, max(batches))
     for k, n in enumerate(batches):
@@ -192,7 +192,9 @@ def merge(results: Sequence[xr.Dataset]) -> xr.Dataset:
             raise InputError.of("results", list(r.sizes.items()), "differ in their coordinates", "Merge like results.")
     merged = first.copy(deep=True)
     for name in (str(v) for v in first.data_vars if f"{v}_se" in first):
-        parts = [Moments.from_mean(r.attrs["samples"], r[name].to_numpy(), r[f"{name}_se"].to_numpy()) for r in results]
+        parts = [
+            SampleMoments.from_mean(r.attrs["samples"], r[name].to_numpy(), r[f"{name}_se"].to_numpy()) for r in results
+        ]
         pooled = sum(parts[1:], parts[0])
         merged[name].data[...] = pooled.mean
         merged[f"{name}_se"].data[...] = pooled.standard_error
@@ -224,7 +226,7 @@ class _Launcher:
         lanes = _lanes(LANES[d.variant], self.wavelengths, largest_batch)
         self.columns = Columns(d, t, self.settings, lanes)
 
-    def batch(self, samples: int, seed: int, number: int) -> tuple[dict[str, Moments], float]:
+    def batch(self, samples: int, seed: int, number: int) -> tuple[dict[str, SampleMoments], float]:
         """Sums of every record, and the seconds spent on compiling."""
         shape, dr = self.columns.t.shape, self.d.dr
         random_entry = self.settings.source.kind == "diffuse"
@@ -240,7 +242,7 @@ class _Launcher:
             dr.kernel_history_clear()
             states = trace(self.columns, self.settings, observers, samples, seed, number)
             spent = sum(h.get("codegen_time", 0.0) + h.get("backend_time", 0.0) for h in dr.kernel_history())
-        sums: dict[str, Moments] = {}
+        sums: dict[str, SampleMoments] = {}
         for observer, state in zip(observers, states, strict=True):
             sums |= observer.result(self.d, state, self.wavelengths, samples)
         return sums, 1e-3 * spent
@@ -257,8 +259,8 @@ def _batches(samples: int, most: int) -> list[int]:
     return [samples // count + (k < samples % count) for k in range(count)]
 
 
-def _constant(values: Any, samples: int) -> Moments:
-    return Moments.from_mean(samples, values, np.zeros_like(values))
+def _constant(values: Any, samples: int) -> SampleMoments:
+    return SampleMoments.from_mean(samples, values, np.zeros_like(values))
 
 
 def _specular(stack: OpticalStack, source: Source) -> Any:
@@ -267,7 +269,7 @@ def _specular(stack: OpticalStack, source: Source) -> Any:
 
 
 def _dataset(
-    total: dict[str, Moments], wavelength_nm: Any, layers: list[str], tally: Tally, attributes: dict[str, Any]
+    total: dict[str, SampleMoments], wavelength_nm: Any, layers: list[str], tally: Tally, attributes: dict[str, Any]
 ) -> xr.Dataset:
     out = xr.Dataset(coords={"wavelength": ("wavelength", wavelength_nm, {"units": "nm"}), "layer": layers})
     axes = [("theta_o", tally.theta, "rad")] if tally.binned or tally.phi_edges else []

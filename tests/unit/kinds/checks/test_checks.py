@@ -72,7 +72,7 @@ def test_the_ladder_is_held_against_what_its_solvers_state() -> None:
 
 def test_a_ladder_runs_from_its_file_to_its_report(tmp_path: Path) -> None:
     text = (
-        'schema = 1\nkind = "ladder"\nname = "rungs"\nbudget_seconds = 1.0\n[tissue]\npreset = "liver"\n'
+        'schema = 1\nkind = "ladder"\nname = "solvers"\nbudget_seconds = 1.0\n[tissue]\npreset = "liver"\n'
         'variant = "parenchyma_only"\n[wavelengths]\nlist_nm = [600.0]\n'
         '[tissue.set]\n"layers.parenchyma.thickness_mm" = inf\n'
     )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from livlab.model.transport.quadrature import Grid, gauss_legendre, lagrange, legendre_table
+from livlab.model.transport.quadrature import AngularGrid, gauss_legendre, lagrange, legendre_table
 
 NORMAL = (1.0, 1.0)
 
@@ -22,7 +22,7 @@ def test_cardinal_polynomials(count):
 
 @pytest.mark.parametrize("indices", [(1.0,), (1.0, 1.36, 1.38), (1.0, 1 + 1e-6), (0.8, 1.0, 1.5)])
 def test_fluxes_are_those_of_isotropic_radiance(indices):
-    grid = Grid.of(indices, 16, NORMAL)
+    grid = AngularGrid.of(indices, 16, NORMAL)
     flux = grid.flux()
     assert flux.sum() == pytest.approx(max(indices) ** 2 / 2, rel=1e-12)
     for n in indices:
@@ -38,7 +38,7 @@ def test_fluxes_are_those_of_isotropic_radiance(indices):
 
 def test_projections_are_the_integrals():
     n = 1.38
-    grid = Grid.of((1.0, 1.36, n), 8, (1.0, 0.6))
+    grid = AngularGrid.of((1.0, 1.36, n), 8, (1.0, 0.6))
     table = legendre_table(grid, n, 60)
     assert table.shape == (61, grid.size)
     inside = math.sqrt(1 - (0.8 / n) ** 2)
@@ -50,7 +50,7 @@ def test_projections_are_the_integrals():
 
 
 def test_beam_that_cannot_enter_a_rare_medium():
-    grid = Grid.of((0.8, 1.0), 8, (1.0, 0.5))
+    grid = AngularGrid.of((0.8, 1.0), 8, (1.0, 0.5))
     assert grid.beam_cosine(0.8) is None
     assert grid.active(0.8)[0] == 1
     assert grid.active(1.0)[0] == 0
@@ -58,18 +58,18 @@ def test_beam_that_cannot_enter_a_rare_medium():
 
 
 def test_grazing_beam_keeps_its_digits():
-    grid = Grid.of((1.0, 1.4), 8, (1.0, 1e-6))
+    grid = AngularGrid.of((1.0, 1.4), 8, (1.0, 1e-6))
     assert grid.beam_cosine(1.0) == pytest.approx(1e-6, rel=1e-14)
 
 
 def test_near_indices_are_graded_and_equal_ones_merged():
-    assert len(Grid.of((1.0, 1.4), 8, NORMAL).breaks) == 2
-    assert len(Grid.of((1.0, 1 + 1e-6), 8, NORMAL).breaks) > 3
-    assert len(Grid.of((1.0, 1 + 1e-13, 1.0), 8, NORMAL).breaks) == 1
+    assert len(AngularGrid.of((1.0, 1.4), 8, NORMAL).breaks) == 2
+    assert len(AngularGrid.of((1.0, 1 + 1e-6), 8, NORMAL).breaks) > 3
+    assert len(AngularGrid.of((1.0, 1 + 1e-13, 1.0), 8, NORMAL).breaks) == 1
 
 
 def test_rounding_never_makes_a_cosine_above_one():
     rng = np.random.default_rng(2)
     for a, b in rng.uniform(0.8, 2.0, (300, 2)):
-        grid = Grid.of((a, b), 16, (a, 1.0))
+        grid = AngularGrid.of((a, b), 16, (a, 1.0))
         assert max(grid.cosines(a).max(), grid.cosines(b).max()) <= 1.0

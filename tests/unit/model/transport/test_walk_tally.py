@@ -7,7 +7,7 @@ import pytest
 
 from livlab.errors import InputError
 from livlab.model.transport.source import Source
-from livlab.model.transport.tally import Moments, Tally
+from livlab.model.transport.tally import SampleMoments, Tally
 
 
 def test_sources_know_their_reach():
@@ -48,19 +48,19 @@ def test_edges_default_to_everything():
 
 def test_moments_are_those_of_numpy_and_add():
     x = np.random.default_rng(1).exponential(size=(3, 1000))
-    whole = Moments.of(x)
+    whole = SampleMoments.of(x)
     assert whole.mean == pytest.approx(x.mean(1))
     assert whole.standard_error == pytest.approx(x.std(1, ddof=1) / math.sqrt(1000))
-    both = Moments.of(x[:, :300]) + Moments.of(x[:, 300:])
+    both = SampleMoments.of(x[:, :300]) + SampleMoments.of(x[:, 300:])
     assert both.standard_error == pytest.approx(whole.standard_error)
-    again = Moments.from_mean(1000, whole.mean, whole.standard_error)
+    again = SampleMoments.from_mean(1000, whole.mean, whole.standard_error)
     assert again.squares == pytest.approx(whole.squares)
 
 
 def test_one_photon_has_a_mean_and_no_error():
-    one = Moments.of(np.array([0.25]))
+    one = SampleMoments.of(np.array([0.25]))
     assert one.mean == 0.25
     assert math.isnan(one.standard_error)
-    two = Moments.from_mean(1, one.mean, one.standard_error) + Moments.of(np.array([0.75]))
+    two = SampleMoments.from_mean(1, one.mean, one.standard_error) + SampleMoments.of(np.array([0.75]))
     assert two.mean == 0.5
     assert two.standard_error == pytest.approx(0.25)

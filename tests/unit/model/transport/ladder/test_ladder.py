@@ -1,4 +1,4 @@
-"""The ladder: which rung answers, which refuses, and how a wish is met; by a clock and a walk that are both made up."""
+"""The ladder: which solver answers, which refuses, how a wish is met; by a clock and a walk that are both made up."""
 
 import dataclasses
 import math
@@ -23,8 +23,8 @@ from livlab.model.transport import adding_doubling as exact
 from livlab.model.transport.diffusion import dipole_profile, dipole_total
 from livlab.model.transport.geometry import total_reflectance
 from livlab.model.transport.ladder import approximate
-from livlab.model.transport.ladder.solve import RUNGS, Accuracy, Estimate, domain, pick, solve
-from livlab.model.transport.sampling import Sampling, Walks
+from livlab.model.transport.ladder.solve import SOLVERS, Accuracy, Estimate, domain, pick, solve
+from livlab.model.transport.sampling import SamplingRule, Walks
 
 SPHERE = IntegratingSphere(port_diameter_mm="infinite")
 CHANCE = {500.0: 0.02, 600.0: 0.1, 700.0: 0.4}
@@ -192,7 +192,7 @@ def test_a_sample_with_sides_is_walked_until_the_wish_is_met(lab):
 def test_a_wish_that_cannot_be_met_is_said(lab):
     lab()
     found = estimate(
-        stack(), Collinear(), Accuracy(relative=1e-5), sampling=Sampling(relative=0.1, max_samples=100_000)
+        stack(), Collinear(), Accuracy(relative=1e-5), sampling=SamplingRule(relative=0.1, max_samples=100_000)
     )
     assert any("was not met" in note for note in found.notes)
 
@@ -270,9 +270,9 @@ def test_a_wish_is_one_and_positive(given):
 
 def test_a_sampling_has_one_rule():
     with pytest.raises(InputError, match="exactly one rule"):
-        Sampling()
+        SamplingRule()
     with pytest.raises(InputError, match="exactly one rule"):
-        Sampling(samples=1000, seconds=1.0)
+        SamplingRule(samples=1000, seconds=1.0)
 
 
 def record(value, error, systematic=0.0, valid=True, wavelengths=(500.0,)):
@@ -334,52 +334,52 @@ def draw(rng, layers):
 
 
 @pytest.mark.parametrize(
-    ("rung", "bound", "of"),
+    ("solver", "bound", "of"),
     [
         ("kubelka-munk", approximate.KUBELKA_MUNK_BOUND, approximate.kubelka_munk_value),
         ("diffusion", approximate.DIFFUSION_BOUND, approximate.diffusion_value),
     ],
 )
-def test_what_a_crude_rung_is_off_stays_within_what_it_says(rung, bound, of):
+def test_what_a_crude_rung_is_off_stays_within_what_it_says(solver, bound, of):
     """60 stacks of one to three layers and three angles against adding–doubling; and outside it does not stay."""
     rng, worst, outside = np.random.default_rng(11), 0.0, 0.0
     inside = 0
     for k in range(60):
-        drawn = draw(rng, 1 if rung == "diffusion" else 1 + k % 3)
-        view = total_reflectance(float(rng.choice([1.0, 0.97, 0.94] if rung == "diffusion" else [1.0, 0.9, 0.75])))
+        drawn = draw(rng, 1 if solver == "diffusion" else 1 + k % 3)
+        view = total_reflectance(float(rng.choice([1.0, 0.97, 0.94] if solver == "diffusion" else [1.0, 0.9, 0.75])))
         truth = exact.adding_doubling(drawn, mu0=math.cos(view.source.angle_rad), tolerance=1e-4)
-        off = abs(float(of(drawn, view)[0] / view.of_endless(truth)[0]) - 1) if _possible(rung, drawn, view) else 0.0
-        if domain(rung, drawn, view).valid[0]:
+        off = abs(float(of(drawn, view)[0] / view.of_endless(truth)[0]) - 1) if _possible(solver, drawn, view) else 0.0
+        if domain(solver, drawn, view).valid[0]:
             inside, worst = inside + 1, max(worst, off)
         else:
             outside = max(outside, off)
     assert inside >= 20
     assert worst <= bound
     assert worst > 0.3 * bound  # the bound is not idle
-    if rung == "kubelka-munk":
+    if solver == "kubelka-munk":
         assert outside > bound
 
 
-def _possible(rung, drawn, view):
-    return domain(rung, drawn, view).possible
+def _possible(solver, drawn, view):
+    return domain(solver, drawn, view).possible
 
 
 def test_every_rung_answers_the_same_question(lab):
     """Where all hold (a bright half-space, upright light) they agree within what they say of themselves."""
     scene, seen = half_space(0.002), total_reflectance()
     truth = float(solve(scene, seen, Accuracy(standard_error=1e-7), "adding-doubling").value[0])
-    for rung in ("kubelka-munk", "diffusion"):
-        found = solve(scene, seen, solver=rung)
+    for solver in ("kubelka-munk", "diffusion"):
+        found = solve(scene, seen, solver=solver)
         assert found.valid.all()
         assert abs(float(found.value[0]) - truth) <= float(found.error[0])
-    assert set(RUNGS) >= {"kubelka-munk", "diffusion", "adding-doubling", "walk analog", "walk expected"}
+    assert set(SOLVERS) >= {"kubelka-munk", "diffusion", "adding-doubling", "walk analog", "walk expected"}
 
 
 def test_the_walks_start_small_against_the_clock(lab):
     """221 wavelengths with the usual pilot would be 14 million samples before anyone looks at the clock."""
     walker = lab(0.1, 1e-6)
     many = stack(tuple(np.linspace(500, 720, 221)))
-    walks = Walks(many, Collinear().readout(np.ones(221)), Sampling(seconds=3.0), clock=walker.clock)
+    walks = Walks(many, Collinear().readout(np.ones(221)), SamplingRule(seconds=3.0), clock=walker.clock)
     walks.go()
     assert 2.4 < walker.now < 3.3
 
