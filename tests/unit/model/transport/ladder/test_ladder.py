@@ -96,7 +96,7 @@ def slow_adding_doubling(monkeypatch, lab, seconds):
 @pytest.mark.parametrize("wish", [{"relative": 0.01}, {"standard_error": 1e-5}, {"seconds": 5.0}])
 def test_an_endless_sphere_is_answered_by_adding_doubling(lab, wish):
     walker = lab()
-    found = estimate(stack(), SPHERE, Accuracy(**wish))
+    found = solve(stack(), SPHERE.readout(np.ones(3)), Accuracy(**wish), clock=walker.clock)
     assert found.solver == "adding-doubling"
     assert found.samples == walker.walked == 0
     assert (found.standard_error == 0).all()
