@@ -7,7 +7,8 @@ import hashlib
 import json
 import shutil
 import threading
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 PIECES = ".pieces"
 """Folder of what a run has finished; gone when it is complete."""
+
+
+Table = tuple[Sequence[str], Sequence[Mapping[str, object]]]
+"""Columns and rows of a CSV table."""
 
 
 class Progress(Protocol):
@@ -113,6 +118,31 @@ class Run:
             if (scratch / made).exists():
                 self.write(made, (scratch / made).read_bytes())
 
+    def finish(
+        self,
+        claims: Sequence[Claim],
+        tables: Mapping[str, Table],
+        costs: Table,
+        notes: Mapping[str, str] | None = None,
+    ) -> None:
+        """Write what every run ends with: its tables, costs.csv, claims.csv; the manifest gets the claims' notes.
+
+        Parameters
+        ----------
+        claims
+            What is judged.
+        tables
+            By file name.
+        costs
+            What each stage took.
+        notes
+            By claim, what is told of one that has no note of its own.
+        """
+        for name, (columns, rows) in {**tables, "costs.csv": costs}.items():
+            self.write_table(name, columns, rows)
+        self.write_claims(claims)
+        self.info["claim_notes"] = {**(notes or {}), **{c.criterion: c.note for c in claims if c.note}}
+
     def write_result(self, groups: Mapping[str, xr.Dataset]) -> None:
         """Write result.nc; the key "/" is the root group."""
         import xarray as xr
@@ -175,6 +205,62 @@ class Run:
         with told_plainly(folder):
             folder.mkdir(exist_ok=True)
         return folder
+
+
+class PieceUnderWay:
+    """A piece that takes long: kept every so often, and when the user wants to stop, so that a later call goes on.
+
+    Parameters
+    ----------
+    run
+        Whose piece it is.
+    name
+        What the piece is called.
+    every_seconds
+        It is kept this often at most.
+    most_share
+        Keeping it takes at most this share of the time.
+    beside
+        Called whenever it has been kept.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        name: str,
+        *,
+        every_seconds: float,
+        most_share: float = 1.0,
+        beside: Callable[[], None] | None = None,
+    ) -> None:
+        self._run, self._name, self._every, self._share, self._beside = run, name, every_seconds, most_share, beside
+        self._kept, self._cost = time.monotonic(), 0.0
+
+    def load(self) -> xr.Dataset | None:
+        """As an earlier call left it, or None."""
+        return self._run.load_piece(self._name)
+
+    def keep(self, data: xr.Dataset) -> None:
+        """Keep it as it stands."""
+        began = time.monotonic()
+        self._run.save_piece(self._name, data)
+        if self._beside is not None:
+            self._beside()
+        self._kept = time.monotonic()
+        self._cost = self._kept - began
+
+    def step(self, data: Callable[[], xr.Dataset]) -> None:
+        """After each step of the work: keep it if it is time to, and end here if the user wants to stop.
+
+        Raises
+        ------
+        Interrupted
+            The user wants to stop; the piece is kept.
+        """
+        due = max(self._every, self._cost / self._share)
+        if self._run.stopping.is_set() or time.monotonic() - self._kept > due:
+            self.keep(data())
+        self._run.stop_if_asked()
 
 
 def _stem(name: str) -> str:

@@ -25,7 +25,7 @@ from livlab.units import FloatArray
 
 if TYPE_CHECKING:
     from livlab.model.tissue.tissue import Tissue
-    from livlab.runs.work import Run
+    from livlab.runs.work import Run, Table
 
 RADII = ("reading", "wavelength_nm", "radius_mm", "ratio", "ratio_se")
 CUTS = ("reading", "wavelength_nm", "angle_deg", "at_deg", "samples", "sphere", "sphere_se", "goniometer",
@@ -289,25 +289,21 @@ def _write(
     root.attrs = {"scan": config.scan.kind, "seed": config.seed, "max_angle_deg": config.max_angle_deg}
     run.write_result({"/": root})
     grid = next(iter(stacks.values())).wavelength_nm
-    for name, (columns, rows) in {
+    made: dict[str, Table] = {
         "pictures.csv": (("reading", "png", "exposure"), tables["pictures"]),
         "samples.csv": (("reading", "samples", "median_error", "coverage"), tables["samples"]),
         "comparison.csv": (COMPARISON, tables["comparison"]),
         "cuts.csv": (CUTS, tables["cuts"]),
         "radii.csv": (RADII, tables["radii"]),
-        "costs.csv": (COSTS, costs),
         "tissue.csv": tissue_tables.tissue(tissue, readings),
         "readings.csv": tissue_tables.readings(readings, tissue),
         "provenance.csv": tissue_tables.provenance(tissue, readings, grid, []),
-    }.items():
-        run.write_table(name, columns, rows)
+    }
     if config.fit is not None:
         from livlab.kinds.brdf.fits import COLUMNS
 
-        run.write_table("fits.csv", ("reading", *COLUMNS), tables["fits"])
-    claims = judged(config, seen)
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+        made["fits.csv"] = (("reading", *COLUMNS), tables["fits"])
+    run.finish(judged(config, seen), made, (COSTS, costs))
 
 
 def _result(config: BrdfExperiment, stack: OpticalStack, one: Seen) -> xr.Dataset:

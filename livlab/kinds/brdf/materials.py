@@ -23,7 +23,7 @@ from livlab.units import FloatArray
 
 if TYPE_CHECKING:
     from livlab.brdf.geometry import Sphere
-    from livlab.runs.work import Run
+    from livlab.runs.work import Run, Table
 
 COSTS = ("stage", "subject", "seconds", "samples", "samples_per_second")
 SAMPLES = ("material", "pose", "samples", "relative_rms", "weighted_rms", "percentile_99", "worst", "coverage")
@@ -82,13 +82,13 @@ def _work(run: Run, config: BrdfExperiment) -> None:
     root = xr.concat(groups, names, data_vars="all", coords="different", compat="equals", join="outer")
     root.attrs = {"max_angle_deg": config.max_angle_deg, "lights": config.rig.lights.number, "seed": config.seed}
     run.write_result({"/": root})
-    run.write_table("samples.csv", SAMPLES, tables["samples"])
-    run.write_table("poses.csv", POSES, tables["poses"])
-    run.write_table("fits.csv", _fit_columns(), tables["fits"])
-    run.write_table("pictures.csv", ("material", "png", "exposure"), tables["pictures"])
-    run.write_table("costs.csv", COSTS[:3], costs)
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+    made: dict[str, Table] = {
+        "samples.csv": (SAMPLES, tables["samples"]),
+        "poses.csv": (POSES, tables["poses"]),
+        "fits.csv": (_fit_columns(), tables["fits"]),
+        "pictures.csv": (("material", "png", "exposure"), tables["pictures"]),
+    }
+    run.finish(claims, made, (COSTS[:3], costs))
 
 
 def _fit_columns() -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from livlab.kinds.checks.config import LadderExperiment, StressExperiment
 if TYPE_CHECKING:
     from livlab.kinds.checks.cost import CostRow
     from livlab.model.tissue.stack import OpticalStack
-    from livlab.runs.work import Run
+    from livlab.runs.work import Run, Table
     from livlab.stress.catalogue import Case
     from livlab.stress.run import Line
 
@@ -55,11 +55,10 @@ def _stress(run: Run, chosen: Sequence[Case]) -> None:
         costs.append({"stage": topic, "seconds": sum(x.seconds for x in lines[first:])})
     write_csv(run.folder / "stress.csv", lines)
     run.keep("stress.csv")
-    run.write_table("costs.csv", ("stage", "seconds"), costs)
     claims = case_claims(lines)
-    run.write_claims(claims)
     what = {x.case: x.what for x in lines}
-    run.info["claim_notes"] = {c.criterion: c.note or what[c.criterion.partition(": ")[2]] for c in claims}
+    about = {c.criterion: what[c.criterion.partition(": ")[2]] for c in claims}
+    run.finish(claims, {}, (("stage", "seconds"), costs), about)
 
 
 def case_claims(lines: Sequence[Line]) -> list[Claim]:
@@ -109,14 +108,14 @@ def _ladder(run: Run, config: LadderExperiment, stack: OpticalStack) -> None:
     run.progress.advance("solvers", 1.0)
     spent = time.perf_counter() - started
     name = config.reading.name
-    run.write_table("cost.csv", ("reading", *COLUMNS), [{"reading": name, **asdict(r)} for r in rows])
-    run.write_table("costs.csv", ("stage", "seconds"), [{"stage": "every solver", "seconds": spent}])
     tissue, grid = config.tissue.build(), config.wavelengths.grid()
-    run.write_table("tissue.csv", *tissue_tables.tissue(tissue, (config.reading,)))
-    run.write_table("provenance.csv", *tissue_tables.provenance(tissue, (config.reading,), grid, ()))
-    claims = ladder_claims(rows, config.within)
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+    made: dict[str, Table] = {
+        "cost.csv": (("reading", *COLUMNS), [{"reading": name, **asdict(r)} for r in rows]),
+        "tissue.csv": tissue_tables.tissue(tissue, (config.reading,)),
+        "provenance.csv": tissue_tables.provenance(tissue, (config.reading,), grid, ()),
+    }
+    costs = [{"stage": "every solver", "seconds": spent}]
+    run.finish(ladder_claims(rows, config.within), made, (("stage", "seconds"), costs))
 
 
 def ladder_claims(rows: Sequence[CostRow], within: float) -> list[Claim]:

@@ -24,7 +24,7 @@ from livlab.kinds.shared.sections import Reference
 from livlab.machine.gpu import name_device
 
 if TYPE_CHECKING:
-    from livlab.runs.work import Run
+    from livlab.runs.work import Run, Table
 
 
 def prepare(config: FitExperiment) -> Callable[[Run], None]:
@@ -77,28 +77,32 @@ def _work(run: Run, setup: FitSetup, known: Sequence[Known]) -> None:
         run.note(text)
     run.write_result({"/": tables.result(config, best, begin, targets, found)})
     scores = tables.scores(config, targets, best.value, begin)
-    run.write_table("fit.csv", tables.INTERVALS, tables.intervals(config, found))
-    run.write_table("scores.csv", tables.SCORES, scores)
-    run.write_table("correlation.csv", *tables.correlation(config, found))
-    run.write_table("path.csv", *tables.path(config, found))
-    run.write_table("costs.csv", tables.COSTS, tables.costs(config.reading.name, found, forward, best))
-    run.write_table("recordings.csv", tuple(forward.recordings[0]), forward.recordings)
     tissue, reading = config.tissue.build(), (config.reading,)
-    run.write_table("tissue.csv", *tissue_tables.tissue(tissue, reading))
-    run.write_table("provenance.csv", *tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), known))
+    made: dict[str, Table] = {
+        "fit.csv": (tables.INTERVALS, tables.intervals(config, found)),
+        "scores.csv": (tables.SCORES, scores),
+        "correlation.csv": tables.correlation(config, found),
+        "path.csv": tables.path(config, found),
+        "recordings.csv": (tuple(forward.recordings[0]), tuple(forward.recordings)),
+        "tissue.csv": tissue_tables.tissue(tissue, reading),
+        "provenance.csv": tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), known),
+    }
+    for name, (columns, rows) in made.items():  # round trips take long: what is known is there before them
+        run.write_table(name, columns, rows)
+    costs = tables.costs(config.reading.name, found, forward, best)
     if config.bench:
         run.write("bench.json", json.dumps(_bench(setup, found), separators=(",", ":"), allow_nan=False))
     trips = _round_trips(run, setup) if config.round_trip is not None else []
+    checked: dict[str, Table] = {}
     if trips:
-        run.write_table("round_trip.csv", *fit_coverage.by_parameter(trips, config.labels()))
-        run.write_table("round_trips.csv", *fit_coverage.by_tissue(trips, config.labels()))
+        checked["round_trip.csv"] = fit_coverage.by_parameter(trips, config.labels())
+        checked["round_trips.csv"] = fit_coverage.by_tissue(trips, config.labels())
         for text in fit_coverage.sentences(trips, config.labels()):
             run.note(text)
     seconds = time.perf_counter() - begun
     reasons = {k.spec.label: k.reason for k in known}
     claims = tables.claims(config, scores, found, fit_coverage.overall(trips), reasons, seconds)
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+    run.finish(claims, checked, (tables.COSTS, costs))
 
 
 def _round_trips(run: Run, setup: FitSetup) -> list[Trip]:

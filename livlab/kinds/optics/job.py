@@ -15,6 +15,7 @@ from livlab.errors import InputError
 from livlab.kinds.optics import tables
 from livlab.kinds.optics.claims import absorption_claims, published_claims, scattering_claims
 from livlab.kinds.optics.config import Chromophore, OpticsExperiment
+from livlab.kinds.shared.tissue_tables import Made
 from livlab.model.tissue.chromophores import whole_blood
 from livlab.model.tissue.particles.rayleigh import SIZE_LIMIT, rayleigh_efficiency
 from livlab.model.tissue.particles.sphere import mie, mie_phase, size_parameter
@@ -157,14 +158,13 @@ def _scattering(run: Run, config: OpticsExperiment) -> None:
     claims = [*scattering_claims(data, config), *published_claims(config)]
     judged = time.perf_counter()
     run.progress.advance("Mie and Rayleigh", 1.0)
-    for name, made in {
+    made = {
         "efficiencies.csv": tables.efficiencies(data),
         "phase.csv": tables.phase(data),
         "validity.csv": tables.validity(data),
-    }.items():
-        run.write_table(name, *made)
+    }
     seconds = {"efficiencies and phase functions": computed - started, "claims": judged - computed}
-    _finish(run, config, data, claims, seconds)
+    _finish(run, config, data, made, claims, seconds)
 
 
 def _absorption(run: Run, config: OpticsExperiment, data: xr.Dataset, seconds: float) -> None:
@@ -173,16 +173,19 @@ def _absorption(run: Run, config: OpticsExperiment, data: xr.Dataset, seconds: f
     claims = absorption_claims(data, config)
     judged = time.perf_counter()
     run.progress.advance("absorption", 1.0)
-    run.write_table("absorption.csv", *tables.absorption(data))
-    run.write_table("provenance.csv", *tables.provenance(config))
-    _finish(run, config, data, claims, {"spectra from datasets": seconds, "claims": judged - started})
+    made = {"absorption.csv": tables.absorption(data), "provenance.csv": tables.provenance(config)}
+    _finish(run, config, data, made, claims, {"spectra from datasets": seconds, "claims": judged - started})
 
 
 def _finish(
-    run: Run, config: OpticsExperiment, data: xr.Dataset, claims: list[Claim], seconds: dict[str, float]
+    run: Run,
+    config: OpticsExperiment,
+    data: xr.Dataset,
+    made: dict[str, Made],
+    claims: list[Claim],
+    seconds: dict[str, float],
 ) -> None:
     run.write_result({"/": data})
-    run.write_table("costs.csv", ("stage", "seconds"), [{"stage": k, "seconds": s} for k, s in seconds.items()])
-    run.write_claims(claims)
+    costs = [{"stage": k, "seconds": s} for k, s in seconds.items()]
     sources = {c.name: c.source for c in config.criterion if c.source}
-    run.info["claim_notes"] = sources | {c.criterion: c.note for c in claims if c.note}
+    run.finish(claims, made, (("stage", "seconds"), costs), sources)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,7 @@ import xarray as xr
 
 from livlab import datasets
 from livlab.kinds.optics.config import OpticsExperiment
-
-Rows = list[dict[str, object]]
-Made = tuple[Sequence[str], Rows]
+from livlab.kinds.shared.tissue_tables import Made, Rows
 
 PROVENANCE = ("name", "used_for", "source", "doi", "kind", "uncertainty", "licence", "sha256")
 

@@ -13,6 +13,7 @@ from livlab.kinds.picture.claims import Key, PictureSummary
 from livlab.kinds.picture.film import CameraFilm
 from livlab.kinds.picture.work import Work
 from livlab.kinds.shared import tissue_tables
+from livlab.kinds.shared.tissue_tables import Made
 from livlab.model.colour import CHANNEL_CENTRES_NM, write_exr, write_png
 from livlab.units import FloatArray
 
@@ -73,20 +74,19 @@ def write_pictures(run: Run, work: Work, films: Mapping[Key, CameraFilm], baseli
     run.write_table("pictures.csv", columns, shown)
 
 
-def write_tables(run: Run, work: Work, films: Mapping[Key, CameraFilm], pictures: Mapping[Key, PictureSummary]) -> None:
-    """Every CSV of the run but its claims."""
+def tables_of(work: Work, films: Mapping[Key, CameraFilm], pictures: Mapping[Key, PictureSummary]) -> dict[str, Made]:
+    """Every CSV of the run but its costs and claims."""
     config = work.config
     readings = config.all_readings
     own = config.tissue.build()
     lit = work.camera.lit
-    made: dict[str, tables.Made] = {
+    made: dict[str, Made] = {
         "absorption.csv": tables.absorption(work.curves),
         "optics.csv": tables.optics(work.stacks, CHANNEL_CENTRES_NM),
         "convergence.csv": tables.convergence(films),
         "tissue.csv": tissue_tables.tissue(own, readings),
         "readings.csv": tissue_tables.readings(readings, own, *(c.tissue.build() for c in config.compared)),
         "provenance.csv": tissue_tables.provenance(own, readings, work.grid, ()),
-        "costs.csv": (tables.COSTS, work.costs),
     }
     if lit.any():
         made["colours.csv"] = tables.colours(pictures)
@@ -97,8 +97,7 @@ def write_tables(run: Run, work: Work, films: Mapping[Key, CameraFilm], pictures
 
         rows = [{"reading": label(key), **row} for key, plan in work.plans.items() for row in plan.plan.records()]
         made["plan.csv"] = (("reading", *COLUMNS), rows)
-    for name, (columns, content) in made.items():
-        run.write_table(name, columns, content)
+    return made
 
 
 def _colours(

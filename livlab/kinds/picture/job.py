@@ -6,14 +6,15 @@ import math
 import resource
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from livlab.kinds.picture import tables
 from livlab.kinds.picture.claims import Key, PictureSummary, judge
 from livlab.kinds.picture.colour import colour_routes, mean_colour
 from livlab.kinds.picture.config import PictureExperiment
-from livlab.kinds.picture.files import label, preview, write_pictures, write_tables
+from livlab.kinds.picture.files import label, preview, tables_of, write_pictures
 from livlab.kinds.picture.film import CameraFilm
 from livlab.kinds.picture.plan import plan_picture
 from livlab.kinds.picture.work import Photographer, Work
@@ -21,10 +22,8 @@ from livlab.kinds.shared.seeds import reading_seed
 from livlab.machine.gpu import name_device
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.stack import OpticalStack
+from livlab.runs.work import PieceUnderWay, Run
 from livlab.units import FloatArray
-
-if TYPE_CHECKING:
-    from livlab.runs.work import Run
 
 SAVE_EVERY_SECONDS = 10.0
 """A picture under way is saved this often at most, and the preview written anew."""
@@ -115,9 +114,7 @@ def _work(run: Run, work: Work) -> None:
 
         study(run, work)
     work.costs.append({"stage": "colour, claims and files", "seconds": time.perf_counter() - started})
-    write_tables(run, work, films, pictures)
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+    run.finish(claims, tables_of(work, films, pictures), (tables.COSTS, work.costs))
 
 
 def _note(run: Run, work: Work) -> None:
@@ -133,34 +130,28 @@ def _note(run: Run, work: Work) -> None:
 def _picture(run: Run, work: Work, key: Key, stack: OpticalStack) -> CameraFilm:
     """One picture: as an earlier call left it, gone on from there, or from the start."""
     config, task = work.config, label(key)
-    piece = f"picture {task}"
-    saved = run.load_piece(piece)
+    kept = PieceUnderWay(
+        run,
+        f"picture {task}",
+        every_seconds=SAVE_EVERY_SECONDS,
+        most_share=SAVE_SHARE,
+        beside=lambda: preview(run, work, film),
+    )
+    saved = kept.load()
     if saved is None:
         batch = math.gcd(work.camera.batch(config.sampling.spp), config.sampling.pass_spp)
         film = CameraFilm.empty(config.camera.height, config.camera.width, work.grid, batch)
     else:
         film = CameraFilm.from_dataset(saved)
     seed = reading_seed(config.seed, task)
-    kept, cost = time.monotonic(), 0.0
-
-    def keep() -> None:
-        nonlocal kept, cost
-        began = time.monotonic()
-        run.save_piece(piece, film.to_dataset())
-        preview(run, work, film)
-        kept = time.monotonic()
-        cost = kept - began
-
     while (share := _share(work, film)) < 1.0:
         run.progress.advance(task, share, _told(film))
         spp = min(config.sampling.pass_spp, config.sampling.spp - film.samples)
         work.camera.expose(film, stack, spp=spp, seed=seed)
         film.trace.append((film.seconds, float(film.samples), film.relative_error(_thinned(work.camera.lit))))
-        if run.stopping.is_set() or time.monotonic() - kept > max(SAVE_EVERY_SECONDS, cost / SAVE_SHARE):
-            keep()
-        run.stop_if_asked()
+        kept.step(film.to_dataset)
     if saved is None or film.passes > int(saved.attrs["passes"]):
-        keep()
+        kept.keep(film.to_dataset())
     run.progress.advance(task, 1.0, _told(film))
     walked = film.samples * config.camera.width * config.camera.height
     work.costs.append(

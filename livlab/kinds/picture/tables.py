@@ -10,11 +10,9 @@ import xarray as xr
 from livlab.kinds.picture.claims import Key, PictureSummary
 from livlab.kinds.picture.colour import ColourRoute, coordinate
 from livlab.kinds.picture.film import CameraFilm
+from livlab.kinds.shared.tissue_tables import Made, Rows
 from livlab.model.colour import delta_e_2000, encode_srgb
 from livlab.model.tissue.stack import REDIRECT_MEAN, OpticalStack, PlaneLayer
-
-Rows = list[dict[str, object]]
-Made = tuple[Sequence[str], Rows]
 
 COLOURS = (
     "tissue", "reading", "route", "R", "G", "B", "R_se", "G_se", "B_se", "sRGB", "L", "L_se", "a", "a_se", "b", "b_se",

@@ -23,10 +23,10 @@ from livlab.machine.gpu import name_device
 from livlab.model.tissue.optics import optical_stack, stack_coefficients
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue
+from livlab.runs.work import PieceUnderWay, Run, Table
 
 if TYPE_CHECKING:
     from livlab.effects.plan import Plan
-    from livlab.runs.work import Run
 
 SAVE_EVERY_SECONDS = 5.0
 """A reading under way is saved this often, so that a killed process loses little."""
@@ -197,22 +197,16 @@ def _measured(
 ) -> xr.Dataset:
     """One reading's measurement: as an earlier call left it, gone on from there, or from the start."""
     solver = config.solver.with_seed(reading_seed(config.seed, name))
-    key = f"measure {name}"
-    earlier = run.load_piece(key)
+    kept = PieceUnderWay(run, f"measure {name}", every_seconds=SAVE_EVERY_SECONDS)
+    earlier = kept.load()
     if earlier is not None and earlier.attrs["finished"]:
         run.progress.advance(name, 1.0, "as saved")
         return earlier
     run.progress.advance(name, 0.0)
-    saved = time.monotonic()
 
     def on_round(so_far: xr.Dataset, progress: MeasurementProgress) -> None:
-        nonlocal saved
         run.progress.advance(name, min(progress.done, 0.999), f"{progress.samples / 1e6:.1f} M samples")
-        stopping = run.stopping.is_set()
-        if stopping or time.monotonic() - saved > SAVE_EVERY_SECONDS:
-            run.save_piece(key, so_far.assign_attrs(finished=0))
-            saved = time.monotonic()
-        run.stop_if_asked()
+        kept.step(lambda: so_far.assign_attrs(finished=0))
 
     done = measure(
         stack,
@@ -224,7 +218,7 @@ def _measured(
         resume=earlier,
     )
     done = done.assign_attrs(finished=1)
-    run.save_piece(key, done)
+    kept.keep(done)
     run.progress.advance(name, 1.0)
     run.stop_if_asked()
     return done
@@ -255,7 +249,7 @@ def _write(
     coefficients = _stacked({name: stack_coefficients(stack) for name, stack in stacks.items()})
     result = _result(config, pieces, references)
     run.write_result({"/": result, "coefficients": coefficients})
-    for name, (columns, rows) in {
+    written: dict[str, Table] = {
         "spectra.csv": tables.spectra(pieces),
         "curves.csv": tables.curves(result),
         "coefficients.csv": tables.coefficients(coefficients),
@@ -264,12 +258,9 @@ def _write(
         "readings.csv": tissue_tables.readings(readings, tissue),
         "provenance.csv": tissue_tables.provenance(tissue, readings, config.wavelengths.grid(), references),
         "metrics.csv": (tables.METRICS, metrics),
-        "costs.csv": (tissue_tables.COSTS, costs),
         "convergence.csv": tables.convergence(pieces),
-    }.items():
-        run.write_table(name, columns, rows)
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+    }
+    run.finish(claims, written, (tissue_tables.COSTS, costs))
 
 
 def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], references: list[Known]) -> xr.Dataset:

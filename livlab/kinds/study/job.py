@@ -20,7 +20,7 @@ from livlab.kinds.study.points import Base
 if TYPE_CHECKING:
     import pandas as pd
 
-    from livlab.runs.work import Run
+    from livlab.runs.work import Run, Table
     from livlab.units import FloatArray
 
 MOST_BOOTSTRAPPED = 500
@@ -104,8 +104,8 @@ def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: S
 
 def _evaluated(
     run: Run, config: StudyExperiment, points: Sequence[sweep.Point], outputs: Outputs, hashes: Mapping[str, str]
-) -> tuple[list[Answer], list[dict[str, Number]]]:
-    """Curves and outputs of points; failed ones have nan and their reason."""
+) -> tuple[list[Answer], list[dict[str, Number]], list[dict[str, object]]]:
+    """Curves and outputs of points, and what they cost; failed ones have nan and their reason."""
     begun = time.perf_counter()
     jobs = sweep.jobs_of(config, points, hashes)
     given = answers(run, config, jobs)
@@ -113,8 +113,7 @@ def _evaluated(
     wall = time.perf_counter() - begun
     made = _numbers(config, curves, outputs)
     _tell_failures(run, curves, made, outputs)
-    run.write_table("costs.csv", tables.COSTS, tables.costs(config, given, curves, wall))
-    return curves, made
+    return curves, made, tables.costs(config, given, curves, wall)
 
 
 def _numbers(config: StudyExperiment, curves: Sequence[Answer], outputs: Outputs) -> list[dict[str, Number]]:
@@ -151,9 +150,8 @@ def _sweep(
     run: Run, config: StudyExperiment, points: Sequence[sweep.Point], outputs: Outputs, hashes: Mapping[str, str]
 ) -> None:
     begun = time.perf_counter()
-    curves, made = _evaluated(run, config, points, outputs, hashes)
+    curves, made, costs = _evaluated(run, config, points, outputs, hashes)
     run.write_result({"/": tables.result(config, points, curves, made, outputs)})
-    run.write_table("results.csv", *tables.results(config, points, curves, made))
     claims = []
     seconds = time.perf_counter() - begun
     for c in config.criterion:
@@ -161,7 +159,8 @@ def _sweep(
         values = values[np.isfinite(values)]
         found = None if not len(values) else float(values.min() if c.statistic == "least" else values.max())
         claims.append(_claim(c, found, 0.0, outputs.missing.get(c.output, "no point has a value"), seconds))
-    _finish(run, config, outputs, claims)
+    written: dict[str, Table] = {"results.csv": tables.results(config, points, curves, made)}
+    _finish(run, config, outputs, claims, written, costs)
 
 
 def _sensitivity(
@@ -174,9 +173,8 @@ def _sensitivity(
 ) -> None:
     assert config.sensitivity is not None
     begun = time.perf_counter()
-    curves, made = _evaluated(run, config, points, outputs, hashes)
+    curves, made, costs = _evaluated(run, config, points, outputs, hashes)
     run.write_result({"/": tables.result(config, points, curves, made, outputs)})
-    run.write_table("results.csv", *tables.results(config, points, curves, made))
     names = [f.name for f in config.factor]
     grown: dict[str, pd.DataFrame] = {}
     why: dict[str, str] = dict(outputs.missing)
@@ -188,8 +186,11 @@ def _sensitivity(
         except InputError as error:
             why[name] = error.message.replace("output = ", f"{name}: ", 1)
             run.note(f"Undefined indices: {why[name]}")
-    run.write_table("indices.csv", *tables.indices(grown))
-    run.write_table("settling.csv", *tables.settling(config.sensitivity, grown, why))
+    written: dict[str, Table] = {
+        "results.csv": tables.results(config, points, curves, made),
+        "indices.csv": tables.indices(grown),
+        "settling.csv": tables.settling(config.sensitivity, grown, why),
+    }
     seconds = time.perf_counter() - begun
     claims = []
     for c in config.criterion:
@@ -204,7 +205,7 @@ def _sensitivity(
                 found = float(last[column][c.of]) if column in last else None
         reason = why.get(c.output, f"{config.sensitivity.estimator} gives no {c.statistic}")
         claims.append(_claim(c, found, 0.0, reason, seconds))
-    _finish(run, config, outputs, claims)
+    _finish(run, config, outputs, claims, written, costs)
 
 
 def _ablation(
@@ -230,22 +231,21 @@ def _ablation(
     _tell_failures(run, curves, made, outputs)
     for text in tables.shared_notes(own, given):
         run.note(text)
-    run.write_table("costs.csv", tables.COSTS, tables.costs(config, list(given.values()), list(given.values()), wall))
     points: list[sweep.Point] = [{} for _ in cases]
     labels = [c.label for c in cases]
     run.write_result({"/": tables.result(config, points, curves, made, outputs, labels)})
-    table = tables.ablation(config, cases, curves, made)
-    run.write_table("ablation.csv", *table)
+    written: dict[str, Table] = {"ablation.csv": tables.ablation(config, cases, curves, made)}
     assert config.ablation is not None
     if config.ablation.target:
-        run.write_table("targets.csv", *tables.targets(config.ablation.target))
-    run.write_table("results.csv", *tables.results(config, points, curves, made, labels))
+        written["targets.csv"] = tables.targets(config.ablation.target)
+    written["results.csv"] = tables.results(config, points, curves, made, labels)
     claims = []
     for c in config.criterion:
         number = made[labels.index(str(c.of))][c.output]
         seconds = float(curves[labels.index(str(c.of))]["seconds"])
         claims.append(_claim(c, number.value, number.standard_error, number.reason, seconds))
-    _finish(run, config, outputs, claims)
+    costs = tables.costs(config, list(given.values()), list(given.values()), wall)
+    _finish(run, config, outputs, claims, written, costs)
 
 
 def _column(made: Sequence[Mapping[str, Number]], name: str) -> FloatArray:
@@ -259,17 +259,23 @@ def _claim(c: Any, value: float | None, error: float, reason: str, seconds: floa
     return Claim.of(c.name, value, error, c.reference, c.tolerance, seconds=seconds)
 
 
-def _finish(run: Run, config: StudyExperiment, outputs: Outputs, claims: Sequence[Claim]) -> None:
+def _finish(
+    run: Run,
+    config: StudyExperiment,
+    outputs: Outputs,
+    claims: Sequence[Claim],
+    written: dict[str, Table],
+    costs: list[dict[str, object]],
+) -> None:
     from livlab.kinds.shared import tissue_tables
 
     tissue, reading = config.tissue.build(), (config.reading,)
-    run.write_table("factors.csv", *tables.factors(config))
-    run.write_table("tissue.csv", *tissue_tables.tissue(tissue, reading))
-    run.write_table(
-        "provenance.csv", *tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), outputs.known)
-    )
-    run.write_claims(claims)
-    run.info["claim_notes"] = {c.criterion: c.note for c in claims if c.note}
+    written |= {
+        "factors.csv": tables.factors(config),
+        "tissue.csv": tissue_tables.tissue(tissue, reading),
+        "provenance.csv": tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), outputs.known),
+    }
+    run.finish(claims, written, (tables.COSTS, costs))
 
 
 __all__ = ["answers", "prepare"]
