@@ -17,6 +17,7 @@ from livlab.core.netcdf import NetcdfTrouble, load_netcdf
 from livlab.core.toml_text import parse_toml
 from livlab.errors import InputError, LivlabError
 from livlab.runs.files import sha256
+from livlab.runs.old import as_today
 
 LARGEST_BYTES = 1 << 28
 """Of a table; a run's are some MiB."""
@@ -93,6 +94,8 @@ def read_run(folder: Path) -> RunData:
     if missing:
         raise InputError.of("claims.csv", missing, "lacks these columns", AGAIN)
     result = _read_group(folder / "result.nc", None)
+    if result is not None:
+        result = as_today(manifest, "result.nc", result)
     coefficients = _read_group(folder / "result.nc", "coefficients")
     if result is not None and coefficients is not None:
         # A group shares its parent's coordinates in NetCDF; xarray reads one group alone.

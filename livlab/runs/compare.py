@@ -7,7 +7,7 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -108,7 +108,12 @@ def timeless_hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def compare_file(
-    name: str, before: Path | None, now: Path | None, known: str = "", known_timeless: str = ""
+    name: str,
+    before: Path | None,
+    now: Path | None,
+    known: str = "",
+    known_timeless: str = "",
+    as_then: Callable[[bytes], bytes] | None = None,
 ) -> FileVerdict:
     """One file of two runs.
 
@@ -120,13 +125,15 @@ def compare_file(
         The two files; None where there is none. `before` may be gone, if the manifest still has its hashes.
     known, known_timeless
         The earlier file's hash, as it is and without times, from its manifest.
+    as_then
+        Gives the later file the names that the earlier one has; None where they are the same.
     """
     had = before is not None or bool(known)
     if not had or now is None:
         return FileVerdict(name, "only now" if now is not None else "only before")
     if name in ACCOUNTS:
         return FileVerdict(name, "not compared", "an account of time")
-    raw = now.read_bytes()
+    raw = now.read_bytes() if as_then is None else as_then(now.read_bytes())
     old = before.read_bytes() if before is not None else None
     if hashlib.sha256(raw).hexdigest() == (known or hashlib.sha256(old or b"").hexdigest()):
         return FileVerdict(name, "same")

@@ -19,8 +19,9 @@ from livlab.runs.files import plain_file, sha256
 LARGEST_MANIFEST = 1 << 26
 """Bytes; a study of many jobs writes some MiB."""
 
-RESULT_VERSION = 3
-"""Raised whenever the same experiment would give other numbers than before; it is part of the digest."""
+RESULT_VERSION = 4
+"""Raised whenever the same experiment would give other numbers than before, or call them otherwise; it is part of the
+digest. `livlab.runs.old` knows what older results are called."""
 
 _PACKAGES = ("numpy", "scipy", "xarray", "pandas", "pydantic", "miepython", "numba", "drjit", "mitsuba")
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 from livlab.config import parse_experiment
 from livlab.errors import Interrupted
 from livlab.kinds.execute import execute
 from livlab.runs.files import read_csv
 from livlab.runs.identity import read_manifest
-from livlab.runs.work import Silent
+from livlab.runs.work import PIECES, Silent
 
 WALK = """\
 schema = 1
@@ -50,6 +51,10 @@ def test_a_stopped_walk_goes_on_and_ends_as_the_undisturbed_one(reading: str, tm
     assert stopped.value.exit_code == 130
     (folder,) = (tmp_path / "parts").iterdir()
     assert read_manifest(folder)["status"] == "partial"
+    for piece in (folder / PIECES).glob("*.nc"):
+        with xr.open_dataset(piece, engine="h5netcdf") as kept:
+            assert {"value", "diffuse_reflectance"} <= set(kept)
+            assert "reflectance" not in kept  # what the instrument reads is the piece's value
     done = execute(config, base=tmp_path / "parts", report=False)
     assert not done.cached
     assert done.folder.name == whole.folder.name

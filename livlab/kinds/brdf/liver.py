@@ -18,6 +18,7 @@ from livlab.kinds.brdf.config import BrdfExperiment
 from livlab.kinds.brdf.cuts import BrdfCut, at_angles, flat_cut, half_angle_map, sphere_cut
 from livlab.kinds.brdf.materials import COSTS
 from livlab.kinds.brdf.pictures import sheet
+from livlab.kinds.shared.names import as_kept
 from livlab.kinds.shared.seeds import reading_seed
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.stack import OpticalStack
@@ -179,10 +180,11 @@ def _flat(
             run.progress.advance(name, 0.6 + 0.35 * share, "goniometer")
             run.stop_if_asked()
 
-        measured = goniometer(
+        found = goniometer(
             unoriented(stack), np.radians(sorted(wanted)), spec.detectors(), samples=spec.samples, seed=seed,
             variant=config.variant, progress=told,
         )  # fmt: skip
+        measured = as_kept(found)
         run.save_piece(key, measured)
     walked = spec.samples * measured.sizes["theta_i"] * measured.sizes["wavelength"]
     seconds = float(measured.attrs["seconds"])
@@ -335,8 +337,8 @@ def _result(config: BrdfExperiment, stack: OpticalStack, one: Seen) -> xr.Datase
             "sphere_lobes": (("incidence", "wavelength", "theta"), np.stack(sphere)),
             "brdf": one.measured["brdf"],
             "brdf_se": one.measured["brdf_se"],
-            "reflectance": one.measured["reflectance"],
-            "reflectance_se": one.measured["reflectance_se"],
+            "diffuse_reflectance": one.measured["diffuse_reflectance"],
+            "diffuse_reflectance_se": one.measured["diffuse_reflectance_se"],
         },
         coords={
             "wavelength": ("wavelength", stack.wavelength_nm, {"units": "nm"}),

@@ -18,7 +18,7 @@ from livlab.metrics import normalise as normalised
 from livlab.units import FloatArray
 
 RESAMPLES = 1000
-BUDGET = ("specular", "reflectance", "transmittance", "absorbed", "lost", "redirect_loss")
+BUDGET = ("specular", "diffuse_reflectance", "transmittance", "absorbed", "lost", "redirect_loss")
 """Where light can go; `residual` is what is in none of them."""
 
 _METRICS = {"pearson": pearson, "rmse": rmse, "mse": mse, "amplitude ratio": amplitude_ratio}

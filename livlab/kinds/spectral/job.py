@@ -14,6 +14,7 @@ from livlab.acquire.instruments.models import Instrument
 from livlab.acquire.instruments.spectrometer import MeasurementProgress, measure
 from livlab.criteria import Claim
 from livlab.kinds.shared import tissue_tables
+from livlab.kinds.shared.names import as_kept, as_solved
 from livlab.kinds.shared.references import Known, load_reference
 from livlab.kinds.shared.seeds import reading_seed
 from livlab.kinds.spectral import tables
@@ -206,7 +207,7 @@ def _measured(
 
     def on_round(so_far: xr.Dataset, progress: MeasurementProgress) -> None:
         run.progress.advance(name, min(progress.done, 0.999), f"{progress.samples / 1e6:.1f} M samples")
-        kept.step(lambda: so_far.assign_attrs(finished=0))
+        kept.step(lambda: as_kept(so_far).assign_attrs(finished=0))
 
     done = measure(
         stack,
@@ -215,9 +216,9 @@ def _measured(
         accuracy=config.accuracy,
         variant=config.variant,
         on_round=on_round,
-        resume=earlier,
+        resume=None if earlier is None else as_solved(earlier),
     )
-    done = done.assign_attrs(finished=1)
+    done = as_kept(done).assign_attrs(finished=1)
     kept.keep(done)
     run.progress.advance(name, 1.0)
     run.stop_if_asked()
@@ -271,8 +272,8 @@ def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], reference
         kept = kept.assign(
             reflectance=piece["value"],
             reflectance_se=piece["standard_error"],
-            diffuse_reflectance=piece["reflectance"],
-            diffuse_reflectance_se=piece["reflectance_se"],
+            diffuse_reflectance=piece["diffuse_reflectance"],
+            diffuse_reflectance_se=piece["diffuse_reflectance_se"],
         )
         curve = processed(points(piece), config.processing)
         value, error = shown(curve, config.processing)

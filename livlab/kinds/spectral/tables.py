@@ -77,9 +77,9 @@ def budget(pieces: dict[str, xr.Dataset]) -> Made:
         parts = {b: piece[b].sum("layer") if "layer" in piece[b].dims else piece[b] for b in BUDGET}
         residual = energy_residual(piece)
         for k, x in enumerate(piece["wavelength"].to_numpy()):
-            shares = {_BUDGET_NAMES.get(b, b): float(p[k]) for b, p in parts.items()}
+            shares = {b: float(p[k]) for b, p in parts.items()}
             out.append({"reading": name, "wavelength_nm": float(x), **shares, "residual": float(residual[k])})
-    return ("reading", "wavelength_nm", *(_BUDGET_NAMES.get(b, b) for b in BUDGET), "residual"), out
+    return ("reading", "wavelength_nm", *BUDGET, "residual"), out
 
 
 def convergence(pieces: dict[str, xr.Dataset]) -> Made:
@@ -95,9 +95,6 @@ def convergence(pieces: dict[str, xr.Dataset]) -> Made:
 def largest_error(piece: xr.Dataset) -> float:
     """The largest error over the wavelengths: of sampling, or what a deterministic solver estimates of its own."""
     return float(piece["error_estimate" if "error_estimate" in piece else "standard_error"].max())
-
-
-_BUDGET_NAMES = {"reflectance": "diffuse_reflectance"}
 
 
 def _known(value: Any) -> float | None:
