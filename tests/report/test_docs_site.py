@@ -10,10 +10,12 @@ import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from docs_blocks import ROOT
+
+from livlab.model.tissue.elements import ELEMENTS
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
@@ -82,6 +84,12 @@ def test_what_is_made_while_building_is_there(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text(encoding="utf-8")
     for name in ("livlab run", "livlab brdf extract", "--scheduler"):
         assert name in commands
+    organ = (site / "adding-an-organ.html").read_text(encoding="utf-8")
+    for kind in ELEMENTS:
+        name = get_args(kind.model_fields["kind"].annotation)[0]
+        assert f"<code>{name}</code></h3>" in re.sub(r'<a class="headerlink".*?</a>', "", organ)
+        for row in kind.parameters():
+            assert f"<td><code>{row.key}</code></td>" in organ
     physics = (site / "physics.html").read_text(encoding="utf-8")
     assert physics.count('class="tex"') > 60
     assert "$" not in re.sub(r"<script.*?</script>", "", physics, flags=re.DOTALL)

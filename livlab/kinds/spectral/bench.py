@@ -217,6 +217,38 @@ def _law(tissue: Tissue, whole: Tissue) -> dict[str, Any] | None:
     return None
 
 
+def _pigment_range(part: Mapping[str, Any], by_path: _Sliders) -> tuple[FloatArray, FloatArray]:
+    f, spectrum = by_path[f"{part['path']}.{part.get('key', 'fraction')}"], np.asarray(part["spectrum"])
+    return f["low"] * spectrum, f["high"] * spectrum
+
+
+def _blood_range(part: Mapping[str, Any], by_path: _Sliders) -> tuple[FloatArray, FloatArray]:
+    f, r = by_path[f"{part['path']}.fraction"], by_path[f"{part['path']}.vessel_radius_um"]
+    ends = [np.asarray(part[k]) for k in ("deoxy", "oxy")]
+    least = np.min([chromophores.blood(1.0, e, um_to_mm(r["high"])) for e in ends], axis=0)
+    most = np.max([chromophores.blood(1.0, e, um_to_mm(r["low"])) for e in ends], axis=0)
+    return f["low"] * least, f["high"] * most
+
+
+def _mixture_range(part: Mapping[str, Any], by_path: _Sliders) -> tuple[FloatArray, FloatArray]:
+    f, spectra = by_path[f"{part['path']}.fraction"], np.asarray(part["spectra"])
+    return f["low"] * spectra.min(axis=0), f["high"] * spectra.max(axis=0)
+
+
+def _rest_range(part: Mapping[str, Any], by_path: _Sliders) -> tuple[FloatArray, FloatArray]:
+    return np.asarray(part["spectrum"]), np.asarray(part["spectrum"])
+
+
+_Sliders = Mapping[str, Mapping[str, Any]]
+_RANGES: Mapping[str, Callable[[Mapping[str, Any], _Sliders], tuple[FloatArray, FloatArray]]] = {
+    "pigment": _pigment_range,
+    "blood": _blood_range,
+    "mixture": _mixture_range,
+    "rest": _rest_range,
+}
+"""Least and most absorption of a part by its formula, over all that its sliders can do."""
+
+
 def _extremes(
     parts: Sequence[Mapping[str, Any]], sliders: Sequence[Mapping[str, Any]], reduced: FloatArray, free: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -224,20 +256,8 @@ def _extremes(
     by_path = {s["path"]: s for s in sliders}
     low, high = np.zeros_like(reduced), np.zeros_like(reduced)
     for part in parts:
-        path = part["path"]
-        if part["kind"] == "blood":
-            f, r = by_path[f"{path}.fraction"], by_path[f"{path}.vessel_radius_um"]
-            ends = [np.asarray(part[k]) for k in ("deoxy", "oxy")]
-            low += f["low"] * np.min([chromophores.blood(1.0, e, um_to_mm(r["high"])) for e in ends], axis=0)
-            high += f["high"] * np.max([chromophores.blood(1.0, e, um_to_mm(r["low"])) for e in ends], axis=0)
-        elif part["kind"] == "pigment":
-            f, spectrum = by_path[f"{path}.{part.get('key', 'fraction')}"], np.asarray(part["spectrum"])
-            low, high = low + f["low"] * spectrum, high + f["high"] * spectrum
-        elif part["kind"] == "mixture":
-            f, spectra = by_path[f"{path}.fraction"], np.asarray(part["spectra"])
-            low, high = low + f["low"] * spectra.min(axis=0), high + f["high"] * spectra.max(axis=0)
-        else:
-            low, high = low + np.asarray(part["spectrum"]), high + np.asarray(part["spectrum"])
+        least, most = _RANGES[part["kind"]](part, by_path)
+        low, high = low + least, high + most
     if free:
         wide = 2.0 ** EXPONENTS[1]
         low, high = low / (reduced * AMPLITUDES[1] * wide), high / (reduced * AMPLITUDES[0] / wide)
