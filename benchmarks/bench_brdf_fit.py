@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.acquire.instruments.sphere_rig import SphereRig, arc, light, photograph
-from livlab.brdf.fit.fit import FitResult, Packed, fit, pack
+from livlab.brdf.fit.fit import BrdfFit, Packed, fit, pack
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.models.model import Cosines, model
 from livlab.brdf.sphere import by_light, extract
@@ -36,7 +36,7 @@ def timed(name: str, work: Callable[[], object]) -> object:
 
 
 def told(found: object, truth: dict[str, float]) -> None:
-    assert isinstance(found, FitResult)
+    assert isinstance(found, BrdfFit)
     for name, value in found.values.items():
         known = truth.get(name.partition("[")[0])
         if known is not None and found.table.loc[name, "status"] != "fixed":

@@ -22,7 +22,7 @@ from livlab.acquire.instruments.sphere_rig import SphereRig, photograph, ring
 from livlab.acquire.photographs.extract import extract_samples
 from livlab.acquire.photographs.open import open_rig
 from livlab.brdf.fit.fit import fit, pack
-from livlab.brdf.fit.problem import Problem
+from livlab.brdf.fit.problem import BrdfProblem
 from livlab.brdf.fit.spread import spread
 from livlab.brdf.geometry import Light
 
@@ -68,7 +68,7 @@ def session(folder: Path, rng: np.random.Generator) -> list[np.ndarray]:
     data = pack(extract_samples(open_rig(folder)).samples)
     found = fit(data, "plastic", starts=1, warn=False)
     table = found.table.loc[NAMES]
-    problem = Problem(found.layout, data, "cosine-weighted-l2")
+    problem = BrdfProblem(found.layout, data, "cosine-weighted-l2")
     other = spread(problem, found.values, resampling="tiles", replicates=0, level=found.level, seed=0).robust.sd
     return [*(table[c].to_numpy() for c in ("value", "sd", "lower", "upper")), np.array([other[n] for n in NAMES])]
 

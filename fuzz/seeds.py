@@ -43,7 +43,6 @@ position_mm = [10.0, 20.0, -300.0]
 """
 SPECTRUM = "wavelength_nm;reflectance [%]\n" + "".join(f"{x};{10 + x / 100:.2f}\n" for x in range(450, 701, 50))
 PROFILE = "depth_from,depth_to,elastin,collagen\n0,0.5,0.1,0.2\n0.5,1,0.05,0.3\n"
-ALTA = "#DIM 3 1\n#PARAM_IN RUSIN_TH_TD_PD\n#PARAM_OUT INV_STERADIAN\n#VS 0\n0.1 0.2 0.3 0.5\n0.2 0.2 0.3 0.4\n"
 META = """\
 format = 1
 name = "seed"
@@ -92,7 +91,9 @@ def seeds(name: str, place: Path) -> list[bytes]:
     if kind == "volume":
         return _volume(form, folder)
     if kind == "brdf":
-        return _brdf(form, place)
+        from fuzz.brdf_seeds import SEEDS
+
+        return SEEDS[form](place)
     if kind in ("photograph", "micrograph"):
         return _picture(form)
     if name == "photographs":
@@ -214,52 +215,6 @@ def _volume(form: str, folder: Path) -> list[bytes]:
         tifffile.imwrite(folder / "1.tif", values[:, :, 1])
         return [b"\0" + (folder / "0.png").read_bytes(), b"\1" + (folder / "1.tif").read_bytes()]
     return [out.getvalue()]
-
-
-def _brdf(form: str, place: Path) -> list[bytes]:
-    from livlab.brdf.files.formats import write_brdf
-    from livlab.brdf.files.mitsuba import write_mitsuba
-    from livlab.brdf.grid import Grid
-    from livlab.brdf.samples import sample_dataset
-    from livlab.brdf.table import merge
-
-    way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.6, 0.8]])
-    samples = sample_dataset(way, way[::-1], np.full((3, 1), 0.3), channels=["L"])
-    if form == "alta":
-        return [ALTA.encode(), ALTA.replace("3 1", "2 3").replace("_TD_PD", "_TD").replace("INV_STER", "RGB_").encode()]
-    if form == "fit":
-        return _fits()
-    if form == "merl":
-        return [np.array([90, 90, 180], "<i4").tobytes() + bytes(240)]
-    suffix = {"csv": ".csv", "netcdf": ".nc", "mitsuba": ".bsdf"}[form]
-    path = place / f"seed{suffix}"
-    if form == "mitsuba":
-        write_mitsuba(path, lambda wi, wo: np.full((len(wi), 1), 0.3), theta_count=4, size=4)
-        return [path.read_bytes()]
-    write_brdf(path, samples)
-    found = [path.read_bytes()]
-    if form == "netcdf":
-        write_brdf(path, merge(samples, Grid.uniform(4, 4, 4)))
-        found.append(path.read_bytes())
-    else:
-        found.append(b"theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value_0,light\n0,0,10,0,0.5,1\n20,0,30,9,0.4,2\n")
-    return found
-
-
-def _fits() -> list[bytes]:
-    from livlab.brdf.fit.fit import fit
-    from livlab.brdf.models.model import model
-    from livlab.brdf.samples import sample_dataset
-
-    rng = np.random.default_rng(1)
-    wi, wo = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in rng.uniform(0.1, 1.0, (2, 40, 3)))
-    truth = {"kd": [0.45, 0.2], "alpha": [0.3, 0.3], "eta": [1.5, 1.5], "ks": [1.0, 1.0]}
-    value = model("plastic").evaluate(wi, wo, {name: np.array(x) for name, x in truth.items()})
-    found = []
-    for name, channels in (("plastic", ["R", "G"]), ("lambert", ["L"])):
-        samples = sample_dataset(wi, wo, value[:, : len(channels)], channels=channels)
-        found.append(fit(samples, name, bootstrap=None, starts=1, warn=False).to_json().encode())
-    return found
 
 
 def _picture(form: str) -> list[bytes]:

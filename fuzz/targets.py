@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+from fuzz.brdf_seeds import DEAR
+from livlab.brdf.files.registry import FORMATS
 from livlab.errors import LivlabError
 
 SECONDS = 10
@@ -201,30 +203,16 @@ def _micrograph(path: Path) -> None:
 
 
 def _brdf(path: Path) -> None:
-    from livlab.brdf.files.formats import read_brdf
-
-    read_brdf(path)
-
-
-def _bsdf(path: Path) -> None:
     import numpy as np
+    import xarray as xr
 
-    from livlab.brdf.files.mitsuba import read_mitsuba
+    from livlab.brdf.files.registry import format_to_read
 
-    material = read_mitsuba(path)
-    way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
-    assert material.evaluate(way, way).shape == (2, len(material.channels))
-    assert isinstance(material.description, str)
-
-
-def _fit(path: Path) -> None:
-    import numpy as np
-
-    from livlab.brdf.files.fitted import read_fit
-
-    fitted = read_fit(path)
-    way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
-    assert fitted.evaluate(way, way).shape == (2, len(fitted.channels))
+    found = format_to_read(path).functions().read(path)
+    if not isinstance(found, xr.Dataset):  # a function: at two directions, since a table of it takes its time
+        way = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+        assert found.evaluate(way, way).shape == (2, len(found.channels))
+        assert isinstance(found.source, str)
 
 
 def _mesh(path: Path) -> None:
@@ -310,12 +298,10 @@ TARGETS = {
         Target("profile-toml", ("x.toml",), _profile, ("tomllib",)),
         Target("micrograph-png", ("x.png",), _micrograph, ("PIL",)),
         Target("micrograph-tiff", ("x.tif",), _micrograph, ("tifffile",)),
-        Target("brdf-csv", ("x.csv",), _brdf),
-        Target("brdf-alta", ("x.alta",), _brdf),
-        Target("brdf-fit", ("x.json",), _fit),
-        Target("brdf-merl", ("x.binary",), _brdf),
-        Target("brdf-mitsuba", ("x.bsdf",), _bsdf),
-        Target("brdf-netcdf", ("x.nc",), _brdf, cost=10),
+        *(
+            Target(f"brdf-{name}", (f"x{row.suffixes[0]}",), _brdf, cost=DEAR.get(name, 1))
+            for name, row in FORMATS.items()
+        ),
         Target("mesh-ply", ("x.ply",), _mesh, ("trimesh.exchange.ply",), cost=10),
         Target("mesh-obj", ("x.obj",), _mesh, ("trimesh.exchange.obj",), cost=10),
         Target("mesh-stl", ("x.stl",), _mesh, ("trimesh.exchange.stl",), cost=10),

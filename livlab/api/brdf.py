@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from livlab.brdf.fit.result import FitResult
+    from livlab.brdf.fit.result import BrdfFit
     from livlab.brdf.geometry import Camera, Light, Sphere
 
 
@@ -74,23 +74,23 @@ def extract(
 def read(path: Path | str) -> xr.Dataset:
     """Samples or a table from a file: .nc, .csv, .binary (MERL), .bsdf (Mitsuba), .alta, or a fit's .json.
 
-    See `livlab.brdf.files.formats`.
+    See `livlab.brdf.files.registry`.
     """
     from livlab.brdf.files.formats import read_brdf
 
     return read_brdf(Path(path))
 
 
-def write(path: Path | str, data: xr.Dataset | FitResult, *, holes: Any = "refuse") -> Path:
+def write(path: Path | str, data: xr.Dataset | BrdfFit, *, holes: Any = "refuse") -> Path:
     """Write samples, a table, or the model of a fit, by the file's suffix.
 
     `holes` of a table are "refuse", "fill" (marked) or "zero"; a fitted model has none.
     """
     from livlab.brdf.files.fitted import Fitted
     from livlab.brdf.files.formats import write_brdf, write_fitted
-    from livlab.brdf.fit.result import FitResult
+    from livlab.brdf.fit.result import BrdfFit
 
-    if isinstance(data, FitResult):
+    if isinstance(data, BrdfFit):
         values = {str(name): found.to_numpy() for name, found in data.parameters().items()}
         write_fitted(Path(path), Fitted(data.model, values, data.layout.channels))
     else:
@@ -98,16 +98,15 @@ def write(path: Path | str, data: xr.Dataset | FitResult, *, holes: Any = "refus
     return Path(path)
 
 
-def fit_model(data: xr.Dataset, model: str, *, loss: Any = "cosine-weighted-l2", **options: Any) -> FitResult:
+def fit_model(data: xr.Dataset, model: str, *, loss: Any = "cosine-weighted-l2", **options: Any) -> BrdfFit:
     """Fit a model ("lambert+ggx") to samples or a table; further options as `livlab.brdf.fit.fit.fit`."""
-    from livlab.brdf.files.formats import cells_as_samples
     from livlab.brdf.fit.fit import fit
+    from livlab.brdf.table import as_samples
 
-    samples = data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
-    return fit(samples, model, loss=loss, **options)
+    return fit(as_samples(data), model, loss=loss, **options)
 
 
-def plot(data: xr.Dataset, found: FitResult | None = None, *, title: str = "") -> list[Axes]:
+def plot(data: xr.Dataset, found: BrdfFit | None = None, *, title: str = "") -> list[Axes]:
     """Draw samples or a table: the sphere and its residuals where there are pictures, polar lobes, cells with holes.
 
     Parameters
@@ -123,10 +122,10 @@ def plot(data: xr.Dataset, found: FitResult | None = None, *, title: str = "") -
     -------
     The figure's axes, colour bars' last; `axes[0].figure` is the figure.
     """
-    from livlab.brdf.files.formats import cells_as_samples
+    from livlab.brdf.table import as_samples
     from livlab.reports.sphere_figures import lobes_of, sphere_figure
 
-    samples = data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
+    samples = as_samples(data)
     predicted = None if found is None else found.predict(samples).mean("channel").values
     lobes = None if found is None else lobes_of(found.evaluate)
     heading = title or ("" if found is None else f"{found.model.name}, {found.relative_rmse:.2%} rms")

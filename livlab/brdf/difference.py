@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from livlab.brdf.files.formats import cells_as_samples
 from livlab.brdf.lookup import lookup
-from livlab.brdf.table import merge
+from livlab.brdf.table import as_samples, as_table
 from livlab.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,8 +42,8 @@ def difference(first: xr.Dataset, second: xr.Dataset) -> dict[str, float]:
     InputError
         Channels that differ in number, or no direction in common.
     """
-    a = first if first.attrs.get("kind") == "BRDF samples" else cells_as_samples(first)
-    b = merge(second) if second.attrs.get("kind") == "BRDF samples" else second
+    a = as_samples(first)
+    b = as_table(second)
     if a.sizes["channel"] != b.sizes["channel"] and 1 not in (a.sizes["channel"], b.sizes["channel"]):
         counts = f"{a.sizes['channel']} and {b.sizes['channel']} channels"
         raise InputError.of("files", counts, "must have as many channels", "Compare files of one kind.")

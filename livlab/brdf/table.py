@@ -8,14 +8,17 @@ import numpy.typing as npt
 import xarray as xr
 
 from livlab.brdf.angles import half_angles
-from livlab.brdf.grid import DIMS, Grid
-from livlab.brdf.samples import check_samples
+from livlab.brdf.grid import DIMS, Grid, grid_of
+from livlab.brdf.samples import check_samples, sample_dataset
 from livlab.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
 Weighting = Literal["area", "inverse_variance", "uniform"]
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
 """A BRDF: directions wi and wo (n, 3) to values (n,) or (n, channel) in 1/sr without cosine."""
+
+KINDS = ("BRDF samples", "BRDF table")
+"""What a data set of BRDFs says in its attribute `kind`."""
 
 CHUNK = 1 << 18
 """Samples that are merged at once, so that what it takes on the way does not grow with them."""
@@ -97,6 +100,54 @@ def merge(
     if cells is None or cells.empty:
         raise InputError.of("samples", "none", "must hold at least one sample", "Check the limits of the extraction.")
     return cells.table(limit)
+
+
+def cells_as_samples(table: xr.Dataset) -> xr.Dataset:
+    """One sample for each cell of a table that has a value, at the cell's middle."""
+    grid = grid_of(table)
+    wi, wo = grid.directions()
+    value = table["value"].transpose(*DIMS, "channel").values
+    known = np.isfinite(value).all(axis=-1) & grid.reachable()
+    error = None
+    if "standard_error" in table:
+        error = table["standard_error"].transpose(*DIMS, "channel").values[known]
+    return sample_dataset(
+        wi[known],
+        wo[known],
+        value[known],
+        standard_error=error,
+        channels=table["channel"].values.tolist(),
+        attrs={"source": "middles of the cells of a table"},
+    )
+
+
+def as_samples(data: xr.Dataset) -> xr.Dataset:
+    """Samples as they are; of a table the middles of its cells."""
+    return data if data.attrs.get("kind") == "BRDF samples" else cells_as_samples(data)
+
+
+def as_table(data: xr.Dataset, grid: Grid | None = None) -> xr.Dataset:
+    """A table as it is; samples merged in the cells of a grid."""
+    return merge(data, grid) if data.attrs.get("kind") == "BRDF samples" else data
+
+
+def check_brdf(data: xr.Dataset) -> None:
+    """See that a data set is samples or a table.
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    kind = data.attrs.get("kind")
+    if kind == "BRDF samples":
+        check_samples(data)
+    elif kind == "BRDF table":
+        grid = grid_of(data)
+        if data["value"].sizes.get("theta_h") != grid.shape[0] or not np.issubdtype(data["value"].dtype, np.floating):
+            raise InputError.of("table.value", data["value"].dims, "must fit the cells' edges", "Merge anew.")
+    else:
+        raise InputError.of("kind", kind, f"must be one of {', '.join(KINDS)}", "Pass samples or a table.")
 
 
 class _Cells:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from livlab.brdf.files.interface import HOLES
+from livlab.brdf.files.registry import in_words, sources_in_words, written_suffixes
 from livlab.core.files import missing_folder
 from livlab.errors import InputError
 
@@ -38,7 +40,7 @@ def register(parent: typer.Typer) -> None:
 @app.command()
 def extract(
     rig: Annotated[Path, typer.Argument(metavar="RIG", help="rig.toml, its folder, or a folder in DiLiGenT's layout.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help=".nc, .csv, .binary or .bsdf.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help=f"{in_words()}.")],
     most: Annotated[int, typer.Option("--most", help="Samples that are kept at most.")] = 1_000_000,
     max_angle: Annotated[float, typer.Option("--max-angle", help="Largest angle from the normal, degrees.")] = 80.0,
     max_clipped: Annotated[
@@ -57,7 +59,7 @@ def extract(
     from livlab.brdf.files.formats import write_brdf
     from livlab.brdf.models.model import model
 
-    _writable(output, (".nc", ".csv", ".binary", ".bsdf"))
+    _writable(output, written_suffixes())
     if not 0 < max_angle < 90:
         raise InputError.of("--max-angle", max_angle, "must lie between 0 and 90 degrees", "Leave it out for 80.")
     if budget is not None:
@@ -90,7 +92,7 @@ def extract(
 
 @app.command()
 def fit(
-    samples: Annotated[Path, typer.Argument(metavar="FILE", help="Samples or a table: .nc, .csv, .binary, .bsdf.")],
+    samples: Annotated[Path, typer.Argument(metavar="FILE", help=f"Samples or a table: {in_words(last='')}.")],
     which: Annotated[str, typer.Argument(metavar="MODEL", help="Lobes joined by +: lambert+ggx.")],
     loss: Loss = DEFAULT_LOSS,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="JSON to write the fit to.")] = None,
@@ -170,25 +172,19 @@ def plot(
 
 @app.command()
 def convert(
-    source: Annotated[
-        Path, typer.Argument(metavar="FROM", help=".nc, .csv, .binary, .bsdf, .alta, .txt, or a fit's .json.")
-    ],
-    target: Annotated[Path, typer.Argument(metavar="TO", help=".nc, .csv, .binary or .bsdf.")],
+    source: Annotated[Path, typer.Argument(metavar="FROM", help=f"{sources_in_words()}.")],
+    target: Annotated[Path, typer.Argument(metavar="TO", help=f"{in_words()}.")],
     holes: Annotated[
         str, typer.Option("--holes", help="refuse, fill (marked) or zero; of .binary and .bsdf.")
     ] = "refuse",
 ) -> None:
     """Convert between files of BRDFs; of a fit the model is written, which has no holes."""
-    from livlab.brdf.files.fitted import read_fit
-    from livlab.brdf.files.formats import read_brdf, write_brdf, write_fitted
+    from livlab.brdf.files.formats import convert as converted
 
-    _writable(target, (".nc", ".csv", ".binary", ".bsdf"))
-    if holes not in ("refuse", "fill", "zero"):
+    _writable(target, written_suffixes())
+    if holes not in HOLES:
         raise InputError.of("--holes", holes, "must be refuse, fill or zero", "Choose one.")
-    if source.suffix.lower() == ".json":
-        write_fitted(target, read_fit(source))
-    else:
-        write_brdf(target, read_brdf(source), holes=holes)  # type: ignore[arg-type]
+    converted(source, target, holes=holes)  # type: ignore[arg-type]
     typer.echo(f"Written to {target}")
 
 
@@ -208,10 +204,10 @@ def _loss(name: str) -> LossName:
 
 
 def _samples(path: Path) -> xr.Dataset:
-    from livlab.brdf.files.formats import cells_as_samples, read_brdf
+    from livlab.brdf.files.formats import read_brdf
+    from livlab.brdf.table import as_samples
 
-    data = read_brdf(path)
-    return data if data.attrs["kind"] == "BRDF samples" else cells_as_samples(data)
+    return as_samples(read_brdf(path))
 
 
 def _console(*, stderr: bool = False) -> Console:

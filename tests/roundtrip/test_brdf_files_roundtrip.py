@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from livlab.brdf.angles import direction
 from livlab.brdf.files.alta import read_alta
 from livlab.brdf.files.csv import read_csv, write_csv
-from livlab.brdf.files.formats import cells_as_samples, read_brdf, write_brdf
+from livlab.brdf.files.formats import read_brdf, write_brdf
 from livlab.brdf.files.merl import SCALES, read_merl, write_merl
 from livlab.brdf.files.netcdf import read_netcdf, write_netcdf
 from livlab.brdf.footprint import footprint
@@ -20,7 +20,7 @@ from livlab.brdf.lookup import fill_holes, lookup, table_of, tabulate
 from livlab.brdf.rig import rig_of
 from livlab.brdf.samples import sample_dataset
 from livlab.brdf.sphere import Noise, extract
-from livlab.brdf.table import merge
+from livlab.brdf.table import cells_as_samples, merge
 from livlab.errors import DatasetError, EnvironmentProblem, InputError
 
 

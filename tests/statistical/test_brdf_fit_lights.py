@@ -12,7 +12,7 @@ from brdf_fit_rig import pictures
 from scipy import stats
 
 from livlab.brdf.fit.fit import fit, pack
-from livlab.brdf.fit.problem import Problem
+from livlab.brdf.fit.problem import BrdfProblem
 from livlab.brdf.fit.spread import spread
 from livlab.brdf.geometry import Light
 from livlab.brdf.sphere import extract
@@ -55,7 +55,7 @@ def repeated(draws, lights, seed):
         found = fit(data, "lambert+ggx", starts=1, start=TRUTH, replicates=300, seed=k, warn=False)
         assert found.resampled.startswith(f"whole lights ({lights})")
         table = found.table.loc[list(TRUTH)]
-        problem = Problem(found.layout, data, "cosine-weighted-l2")
+        problem = BrdfProblem(found.layout, data, "cosine-weighted-l2")
         other = spread(problem, found.values, resampling="tiles", replicates=0, level=LEVEL, seed=0).robust.sd
         rows.append([*(table[c] for c in ("value", "sd", "lower", "upper")), [other[n] for n in TRUTH]])
     return Repeats(*np.array(rows).transpose(1, 0, 2))

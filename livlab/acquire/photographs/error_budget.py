@@ -17,7 +17,7 @@ import xarray as xr
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.rig import PhotographedRig
 from livlab.brdf.angles import local_frames
-from livlab.brdf.fit.fit import FitResult, fit
+from livlab.brdf.fit.fit import BrdfFit, fit
 from livlab.brdf.fit.loss import LossName
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.rig import rig_of, rig_variables
@@ -144,7 +144,7 @@ def error_budget(
     return _budget(rows, base, {q: ignored[q] - finer[q] for q in base}, len(chosen))
 
 
-def fitted(samples: xr.Dataset, which: str, loss: LossName) -> tuple[Evaluate, FitResult]:
+def fitted(samples: xr.Dataset, which: str, loss: LossName) -> tuple[Evaluate, BrdfFit]:
     """The parameters of a model as quantities, refitted from where a fit to all samples ended; and that fit."""
     found = fit(samples, which, loss=loss, warn=False)
     start = {

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from livlab.brdf.angles import direction, from_half_angles
+from livlab.brdf.files.interface import FileFunctions
 from livlab.brdf.samples import sample_dataset
 from livlab.core.files import readable
 from livlab.errors import DatasetError, InputError
@@ -152,3 +153,6 @@ def _numbers(path: Path, lines: list[str], least: int) -> tuple[FloatArray, list
     if not rows:
         raise DatasetError.of(path.name, "no numbers", "must hold at least one sample", "The file may be cut short.")
     return np.asarray(rows, dtype=np.float64), where
+
+
+FILE = FileFunctions(read_alta)

@@ -14,7 +14,9 @@ import numpy.typing as npt
 import xarray as xr
 
 from livlab.brdf.angles import direction
+from livlab.brdf.files.interface import FileFunctions, Function, Holes, tabulated
 from livlab.brdf.samples import CONVENTIONS, check_samples, sample_dataset
+from livlab.brdf.table import as_samples
 from livlab.core.files import readable, whole
 from livlab.errors import DatasetError, InputError
 
@@ -130,3 +132,14 @@ def read_csv(path: Path) -> xr.Dataset:
         )
     except InputError as error:
         raise DatasetError(f"{path.name}: {error.message}", remedy=error.remedy) from error
+
+
+def _write(path: Path, data: xr.Dataset, _: Holes) -> None:
+    write_csv(path, as_samples(data))
+
+
+def _write_function(path: Path, function: Function) -> None:
+    write_csv(path, as_samples(tabulated(function)))
+
+
+FILE = FileFunctions(read_csv, _write, _write_function)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from livlab.brdf.files.interface import FileFunctions
 from livlab.brdf.models.model import Model, model
 from livlab.core.files import readable
 from livlab.errors import DatasetError
@@ -31,11 +32,24 @@ class Fitted:
         By name, one number a channel.
     channels
         Their names.
+    exact
+        True: it is known everywhere, so that it is converted without a table between.
     """
 
     model: Model
     parameters: dict[str, FloatArray]
     channels: tuple[str, ...]
+    exact: bool = True
+
+    @property
+    def name(self) -> str:
+        """The model's."""
+        return self.model.name
+
+    @property
+    def source(self) -> str:
+        """For a table made of it."""
+        return f"fitted model {self.name}"
 
     def evaluate(self, wi: npt.ArrayLike, wo: npt.ArrayLike) -> FloatArray:
         """BRDF (..., channel) in 1/sr without cosine at directions (..., 3)."""
@@ -43,7 +57,7 @@ class Fitted:
 
 
 def read_fit(path: Path) -> Fitted:
-    """A fit as `livlab brdf fit -o` or `FitResult.to_json` wrote it.
+    """A fit as `livlab brdf fit -o` or `BrdfFit.to_json` wrote it.
 
     Raises
     ------
@@ -79,3 +93,6 @@ def _row(row: Any) -> tuple[str, str, float]:
     if not np.isfinite(value):
         raise ValueError(f"{label} is not finite")
     return label.removesuffix(f"[{channel}]") if channel else label, channel, value
+
+
+FILE = FileFunctions(read_fit)

@@ -1,34 +1,16 @@
-"""One door to the files of BRDFs, by their suffix: NetCDF, MERL, Mitsuba's measured, CSV, ALTA's text.
+"""One door to the files of BRDFs, by their suffix; `livlab.brdf.files.registry.FORMATS` says which there are.
 
-| suffix | what | read | written from |
-|---|---|---|---|
-| `.nc` | samples or table, everything about them | as they were | samples or table |
-| `.csv` | samples | samples | samples, or the cells of a table |
-| `.binary` | MERL's table | table | table, or samples merged in its cells |
-| `.bsdf` | Mitsuba's `measured` | table of its values at the cells' middles | table, or samples merged |
-| `.alta`, `.dat`, `.data`, `.txt` | ALTA's text | samples | not |
-| `.json` | a fitted model | table of its values at the cells' middles | by `livlab brdf fit` |
+A format that holds a function of directions (Mitsuba's material, a fitted model) is read as a table of its values at
+the middles of `Grid.uniform`'s cells.
 """
 
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
-from livlab.brdf.files.alta import read_alta
-from livlab.brdf.files.csv import read_csv, write_csv
-from livlab.brdf.files.fitted import Fitted, read_fit
-from livlab.brdf.files.merl import read_merl, write_merl
-from livlab.brdf.files.mitsuba import Holes, read_mitsuba, write_mitsuba
-from livlab.brdf.files.netcdf import check, read_netcdf, write_netcdf
-from livlab.brdf.grid import DIMS, Grid, grid_of
-from livlab.brdf.lookup import fill_holes, tabulate
-from livlab.brdf.samples import sample_dataset
-from livlab.brdf.table import merge
-from livlab.errors import InputError
-
-READ = (".nc", ".csv", ".binary", ".bsdf", ".alta", ".dat", ".data", ".txt", ".json")
-WRITTEN = (".nc", ".csv", ".binary", ".bsdf")
+from livlab.brdf.files.interface import Function, Holes, tabulated
+from livlab.brdf.files.registry import format_to_read, format_to_write
+from livlab.brdf.table import check_brdf
 
 
 def read_brdf(path: Path) -> xr.Dataset:
@@ -39,22 +21,8 @@ def read_brdf(path: Path) -> xr.Dataset:
     InputError
         A suffix that is not known; `DatasetError` where the file is not there or damaged.
     """
-    suffix = path.suffix.lower()
-    if suffix == ".nc":
-        return read_netcdf(path)
-    if suffix == ".csv":
-        return read_csv(path)
-    if suffix == ".binary":
-        return read_merl(path)
-    if suffix == ".bsdf":
-        material = read_mitsuba(path)
-        table = tabulate(material.evaluate, Grid.uniform(), material.channels)
-        return table.assign_attrs(source=f"Mitsuba file {path.name}: {material.description}")
-    if suffix == ".json":
-        return _tabulated(read_fit(path), Grid.uniform())
-    if suffix in READ:
-        return read_alta(path)
-    raise InputError.of("path", path.name, f"must end in one of {', '.join(READ)}", "Rename it after its format.")
+    found = format_to_read(path).functions().read(path)
+    return found if isinstance(found, xr.Dataset) else tabulated(found)
 
 
 def write_brdf(path: Path, data: xr.Dataset, *, holes: Holes = "refuse") -> None:
@@ -73,23 +41,13 @@ def write_brdf(path: Path, data: xr.Dataset, *, holes: Holes = "refuse") -> None
     EnvironmentProblem
         The file cannot be written; an old one stays as it was.
     """
-    suffix = path.suffix.lower()
-    if suffix not in WRITTEN:
-        raise InputError.of("path", path.name, f"must end in one of {', '.join(WRITTEN)}", "Choose a format by suffix.")
-    check(data)
-    samples = data.attrs["kind"] == "BRDF samples"
-    if suffix == ".nc":
-        write_netcdf(path, data)
-    elif suffix == ".csv":
-        write_csv(path, data if samples else cells_as_samples(data))
-    elif suffix == ".binary":
-        table = merge(data, Grid.merl()) if samples else data
-        write_merl(path, fill_holes(table) if holes == "fill" else table)
-    else:
-        write_mitsuba(path, merge(data) if samples else data, holes=holes)
+    write = format_to_write(path).functions().write
+    assert write is not None
+    check_brdf(data)
+    write(path, data, holes)
 
 
-def write_fitted(path: Path, fitted: Fitted) -> None:
+def write_fitted(path: Path, fitted: Function) -> None:
     """Write a fitted model: evaluated where the format has its values, so that there are no holes.
 
     `.bsdf` and `.binary` are evaluated at their own points, `.nc` and `.csv` at the middles of `Grid.uniform`'s cells.
@@ -101,30 +59,25 @@ def write_fitted(path: Path, fitted: Fitted) -> None:
     EnvironmentProblem
         The file cannot be written; an old one stays as it was.
     """
-    if path.suffix.lower() == ".bsdf":
-        write_mitsuba(path, fitted.evaluate, description=f"livlab, {fitted.model.name}")
-        return
-    write_brdf(path, _tabulated(fitted, Grid.merl() if path.suffix.lower() == ".binary" else Grid.uniform()))
+    write = format_to_write(path).functions().write_function
+    assert write is not None
+    write(path, fitted)
 
 
-def _tabulated(fitted: Fitted, grid: Grid) -> xr.Dataset:
-    return tabulate(fitted.evaluate, grid, fitted.channels).assign_attrs(source=f"fitted model {fitted.model.name}")
+def convert(source: Path, target: Path, *, holes: Holes = "refuse") -> None:
+    """Read one file and write another; of a fit the model is written, which has no holes.
 
-
-def cells_as_samples(table: xr.Dataset) -> xr.Dataset:
-    """One sample for each cell of a table that has a value, at the cell's middle."""
-    grid = grid_of(table)
-    wi, wo = grid.directions()
-    value = table["value"].transpose(*DIMS, "channel").values
-    known = np.isfinite(value).all(axis=-1) & grid.reachable()
-    error = None
-    if "standard_error" in table:
-        error = table["standard_error"].transpose(*DIMS, "channel").values[known]
-    return sample_dataset(
-        wi[known],
-        wo[known],
-        value[known],
-        standard_error=error,
-        channels=table["channel"].values.tolist(),
-        attrs={"source": "middles of the cells of a table"},
-    )
+    Raises
+    ------
+    InputError
+        As of `read_brdf` and `write_brdf`.
+    EnvironmentProblem
+        The file cannot be written; an old one stays as it was.
+    """
+    found = format_to_read(source).functions().read(source)
+    if isinstance(found, xr.Dataset):
+        write_brdf(target, found, holes=holes)
+    elif found.exact:
+        write_fitted(target, found)
+    else:
+        write_brdf(target, tabulated(found), holes=holes)

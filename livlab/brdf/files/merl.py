@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from livlab.brdf.files.interface import FileFunctions, Function, Holes, tabulated
 from livlab.brdf.grid import DIMS, Grid, grid_of
-from livlab.brdf.lookup import lookup, table_of
+from livlab.brdf.lookup import fill_holes, lookup, table_of
+from livlab.brdf.table import as_table
 from livlab.core.files import readable, whole
 from livlab.errors import DatasetError, InputError
 
@@ -93,3 +95,15 @@ def write_merl(path: Path, table: xr.Dataset) -> None:
         for c, scale in enumerate(SCALES):
             plane = value[..., c % channels]
             np.where(np.isfinite(plane), plane / scale, HOLE).astype("<f8").tofile(stream)
+
+
+def _write(path: Path, data: xr.Dataset, holes: Holes) -> None:
+    table = as_table(data, Grid.merl())
+    write_merl(path, fill_holes(table) if holes == "fill" else table)
+
+
+def _write_function(path: Path, function: Function) -> None:
+    write_merl(path, tabulated(function, Grid.merl()))
+
+
+FILE = FileFunctions(read_merl, _write, _write_function)

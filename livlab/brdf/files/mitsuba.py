@@ -9,21 +9,20 @@ ndf / (4 sigma). Mitsuba's `wi` is the direction to the camera, here wo.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from livlab.brdf.angles import direction
+from livlab.brdf.files.interface import HOLES, FileFunctions, Function, Holes
 from livlab.brdf.files.tensor import Array, read_tensors, write_tensors
 from livlab.brdf.files.warp import Warp, between
 from livlab.brdf.lookup import fill_holes, lookup
-from livlab.brdf.table import Evaluate
+from livlab.brdf.table import Evaluate, as_table
 from livlab.errors import DatasetError, InputError
 
 FloatArray = npt.NDArray[np.float64]
-Holes = Literal["refuse", "fill", "zero"]
 
 STEEPEST = float(np.deg2rad(89.0))
 """θ at which the slice of 90 degrees is evaluated: at 90 degrees itself no light arrives."""
@@ -108,7 +107,7 @@ def write_mitsuba(
 
 
 def _reader(table: xr.Dataset, holes: Holes) -> Evaluate:
-    if holes not in ("refuse", "fill", "zero"):
+    if holes not in HOLES:
         raise InputError.of("holes", holes, "must be refuse, fill or zero", "Choose one.")
     ready = fill_holes(table) if holes == "fill" else table
 
@@ -136,7 +135,7 @@ def _slice(evaluate: Evaluate, theta: float, size: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredMaterial:
     """A `.bsdf` file that was read: `evaluate` gives its BRDF.
 
     Attributes
@@ -145,15 +144,26 @@ class Measured:
         The arrays of the file.
     channels
         R, G, B or the wavelengths in nm.
+    name
+        The file's.
+    exact
+        False: the file's own values lie between what it was written from, so that it is converted as a table.
     """
 
     fields: dict[str, Array]
     channels: list[object]
+    name: str
+    exact: bool = False
 
     @property
     def description(self) -> str:
         """What the file says of itself."""
         return bytes(np.asarray(self.fields["description"], dtype=np.uint8)).decode("utf-8", "replace")
+
+    @property
+    def source(self) -> str:
+        """File and description, for a table made of it."""
+        return f"Mitsuba file {self.name}: {self.description}"
 
     def evaluate(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
         """BRDF (n, channel) in 1/sr without cosine at directions (n, 3), wi to the light; 0 below the surface."""
@@ -182,7 +192,7 @@ class Measured:
         return np.where(above[:, None], value / np.where(above, light[:, 2], 1.0)[:, None], 0.0)
 
 
-def read_mitsuba(path: Path) -> Measured:
+def read_mitsuba(path: Path) -> MeasuredMaterial:
     """Read an isotropic `.bsdf` file, RGB or spectral.
 
     Raises
@@ -223,8 +233,19 @@ def read_mitsuba(path: Path) -> Measured:
         raise DatasetError.of(
             path.name, "its tables", "must be finite, at least 2 x 2, over rising angles", "Fetch or write it again."
         )
-    return Measured(fields, list(channels))
+    return MeasuredMaterial(fields, list(channels), path.name)
 
 
 def _elevation(w: FloatArray) -> FloatArray:
     return np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2])
+
+
+def _write(path: Path, data: xr.Dataset, holes: Holes) -> None:
+    write_mitsuba(path, as_table(data), holes=holes)
+
+
+def _write_function(path: Path, function: Function) -> None:
+    write_mitsuba(path, function.evaluate, description=f"livlab, {function.name}")
+
+
+FILE = FileFunctions(read_mitsuba, _write, _write_function)

@@ -5,13 +5,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from livlab.brdf.grid import grid_of
-from livlab.brdf.samples import check_samples
+from livlab.brdf.files.interface import FileFunctions, Function, Holes, tabulated
+from livlab.brdf.table import check_brdf
 from livlab.core.files import whole
 from livlab.core.netcdf import NetcdfTrouble, load_netcdf
 from livlab.errors import DatasetError, InputError
 
-KINDS = ("BRDF samples", "BRDF table")
 FORMAT = 1
 """Version of the layout."""
 
@@ -34,7 +33,7 @@ def write_netcdf(path: Path, data: xr.Dataset) -> None:
     EnvironmentProblem
         The file cannot be written; an old one stays as it was.
     """
-    check(data)
+    check_brdf(data)
     out = data.assign_attrs(livlab_brdf_format=FORMAT)
     packing = {
         str(name): {"zlib": True, "complevel": 1, "shuffle": True}
@@ -76,26 +75,18 @@ def read_netcdf(path: Path) -> xr.Dataset:
                 "Convert the values to this convention and say so in the attribute.",
             )
     try:
-        check(data)
+        check_brdf(data)
     except InputError as error:
         raise DatasetError(f"{path.name}: {error.message}", remedy=error.remedy) from error
     return data
 
 
-def check(data: xr.Dataset) -> None:
-    """See that a data set is samples or a table.
+def _write(path: Path, data: xr.Dataset, _: Holes) -> None:
+    write_netcdf(path, data)
 
-    Raises
-    ------
-    InputError
-        It is neither.
-    """
-    kind = data.attrs.get("kind")
-    if kind == "BRDF samples":
-        check_samples(data)
-    elif kind == "BRDF table":
-        grid = grid_of(data)
-        if data["value"].sizes.get("theta_h") != grid.shape[0] or not np.issubdtype(data["value"].dtype, np.floating):
-            raise InputError.of("table.value", data["value"].dims, "must fit the cells' edges", "Merge anew.")
-    else:
-        raise InputError.of("kind", kind, f"must be one of {', '.join(KINDS)}", "Pass samples or a table.")
+
+def _write_function(path: Path, function: Function) -> None:
+    write_netcdf(path, tabulated(function))
+
+
+FILE = FileFunctions(read_netcdf, _write, _write_function)

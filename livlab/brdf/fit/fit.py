@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike
 
 from livlab.brdf.fit.data import Footprint, Packed, pack
 from livlab.brdf.fit.loss import LossName
-from livlab.brdf.fit.problem import Choices, Layout, Problem, Sharing
+from livlab.brdf.fit.problem import BrdfProblem, Choices, Layout, Sharing
 from livlab.brdf.fit.report import combinations_in_words, parameter_table, sentences
-from livlab.brdf.fit.result import FitResult
+from livlab.brdf.fit.result import BrdfFit
 from livlab.brdf.fit.spread import Resampling, spread
 from livlab.brdf.models.model import Model, model
 from livlab.errors import InputError, Interrupted
 from livlab.optimise import FitWarning, OptimiseResult, ParameterSpace, identifiability, minimise
 
-__all__ = ["FitResult", "Packed", "compare", "fit", "pack"]
+__all__ = ["BrdfFit", "Packed", "compare", "fit", "pack"]
 
 PART = 4000
 """Samples on which starts are tried; the best goes on to all of them."""
@@ -55,7 +55,7 @@ def fit(
     max_seconds: float = math.inf,
     seed: int = 0,
     warn: bool = True,
-) -> FitResult:
+) -> BrdfFit:
     """Fit a BRDF model to samples by NLopt.
 
     Minimises ½ Σ w (g(f_model cos θ_i) − g(f cos θ_i))² over all samples and channels, where g and w are the loss's and
@@ -108,7 +108,7 @@ def fit(
         raise InputError.of(
             "samples", data.value.size, f"are too few for {len(layout.space.names)} parameters", "Fix some parameters."
         )
-    problem = Problem(layout, data, loss)
+    problem = BrdfProblem(layout, data, loss)
     found, tried = _search(problem, loss, max(starts, 1), algorithm, begun + max_seconds, seed)
     values = found.best
     # The last stage began at its optimum; what counts is where the search began.
@@ -126,7 +126,7 @@ def fit(
     if warn:
         for note in notes:
             warnings.warn(note, FitWarning, stacklevel=2)
-    return FitResult(
+    return BrdfFit(
         model=chosen,
         table=table,
         loss=f"{loss}: {problem.loss.words}",
@@ -161,7 +161,7 @@ def compare(
     loss: LossName = "cosine-weighted-l2",
     footprint: Footprint = "auto",
     **options: object,
-) -> tuple[pd.DataFrame, dict[str, FitResult]]:
+) -> tuple[pd.DataFrame, dict[str, BrdfFit]]:
     """Fit several models to the same samples and rank them.
 
     The criteria count residuals at the worth they have for the best model, so that one number serves all; where no
@@ -210,11 +210,11 @@ def compare(
 
 
 def _search(
-    problem: Problem, loss: str, starts: int, algorithm: str, deadline: float, seed: int
+    problem: BrdfProblem, loss: str, starts: int, algorithm: str, deadline: float, seed: int
 ) -> tuple[OptimiseResult, pd.DataFrame]:
     """Try shapes on a part of the samples, follow the best there, and take the best of those to all samples."""
     layout, data = problem.layout, problem.data
-    part = Problem(layout, data.select(_part(data, seed)) if data.size > PART else data, loss, quick=True)
+    part = BrdfProblem(layout, data.select(_part(data, seed)) if data.size > PART else data, loss, quick=True)
     trials = _trials(part, starts, seed)
     rows, best = [], None
     for number, values in enumerate(trials[:starts]):
@@ -240,7 +240,7 @@ def _part(data: Packed, seed: int) -> np.ndarray:
     return np.union1d(core, rest)
 
 
-def _trials(problem: Problem, starts: int, seed: int) -> list[dict[str, float]]:
+def _trials(problem: BrdfProblem, starts: int, seed: int) -> list[dict[str, float]]:
     """The default shape and others spread over the box, each with its best scales, the smallest loss first."""
     from scipy.stats import qmc
 
@@ -269,7 +269,7 @@ def _trials(problem: Problem, starts: int, seed: int) -> list[dict[str, float]]:
 
 
 def _minimise(
-    problem: Problem, values: Mapping[str, float], algorithm: str, deadline: float, seed: int, tolerance: float
+    problem: BrdfProblem, values: Mapping[str, float], algorithm: str, deadline: float, seed: int, tolerance: float
 ) -> OptimiseResult:
     space: ParameterSpace = problem.scaled_space(values)
     size = max(problem.value(values), 1e-300)
@@ -303,7 +303,7 @@ def _times(found: OptimiseResult, size: float) -> OptimiseResult:
     return replace(found, value=found.value * size, path=path)
 
 
-def _rms(problem: Problem, values: Mapping[str, float]) -> tuple[float, float]:
+def _rms(problem: BrdfProblem, values: Mapping[str, float]) -> tuple[float, float]:
     data = problem.data
     weight = data.pixels * data.cos_i**2
     total = level = 0.0

@@ -126,7 +126,7 @@ def _number(field: str, value: ArrayLike, k: int, channels: int) -> float:
     return float(array[k if array.size > 1 else 0])
 
 
-class Problem:
+class BrdfProblem:
     """Half the sum of squared residuals, with its gradient and its normal equations."""
 
     def __init__(

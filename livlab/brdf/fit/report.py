@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from livlab.brdf.fit.data import in_words
-from livlab.brdf.fit.problem import Layout, Problem
+from livlab.brdf.fit.problem import BrdfProblem, Layout
 from livlab.brdf.fit.spread import Spread
 from livlab.optimise import Identifiability, OptimiseResult
 
@@ -77,7 +77,7 @@ def combinations_in_words(
 
 
 def sentences(
-    problem: Problem,
+    problem: BrdfProblem,
     found: OptimiseResult,
     held: Identifiability,
     sure: Spread,

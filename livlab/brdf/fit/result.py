@@ -19,7 +19,7 @@ from livlab.optimise import Identifiability, OptimiseResult
 
 
 @dataclass(frozen=True, eq=False)
-class FitResult:
+class BrdfFit:
     """Outcome of `livlab.brdf.fit.fit.fit`; true in a condition if the search converged and all parameters are held.
 
     Attributes

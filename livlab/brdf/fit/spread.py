@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from livlab.brdf.fit.data import DIRECTIONS, TILE
-from livlab.brdf.fit.problem import Problem
+from livlab.brdf.fit.problem import BrdfProblem
 from livlab.errors import InputError
 from livlab.optimise import Covariance, block_weights, covariance_of_residuals
 from livlab.optimise.covariance import normal_quantile
@@ -77,7 +77,7 @@ class Blocks:
 class Normal:
     """Per-block normal equations: Jᵀr (blocks, k) and JᵀJ (blocks, k, k), for any labels of the samples."""
 
-    def __init__(self, problem: Problem, values: dict[str, float]) -> None:
+    def __init__(self, problem: BrdfProblem, values: dict[str, float]) -> None:
         names = list(problem.layout.space.names)
         self.names = names
         self.problem = problem
@@ -124,7 +124,7 @@ class Normal:
 
 
 def spread(
-    problem: Problem,
+    problem: BrdfProblem,
     values: dict[str, float],
     *,
     resampling: Resampling,
@@ -187,7 +187,7 @@ def _effective(normal: Normal, tiles: np.ndarray, count: int, rss: float) -> flo
     return count / max(sums / rss, 1.0) if rss > 0 else float(count)
 
 
-def _blocks(problem: Problem, resampling: Resampling) -> Blocks:
+def _blocks(problem: BrdfProblem, resampling: Resampling) -> Blocks:
     data = problem.data
     lights, tiles = np.unique(data.light).size, np.unique(data.tile).size
     if resampling in ("auto", None):

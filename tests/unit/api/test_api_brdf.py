@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deep_pictures import deep_png
 from PIL import Image
 from synthetic_camera import camera, lambert, render, ring, sphere_for
-from test_photographs_read import deep_png
 
 import livlab
 from livlab.acquire.photographs.extract import extract_samples

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from deep_pictures import deep_png
 from PIL import Image
 from synthetic_camera import camera, lambert, render, ring, sphere_for
-from test_photographs_read import deep_png
 
 from livlab.acquire.photographs.diligent import load_folder
 from livlab.acquire.photographs.extract import extract_samples

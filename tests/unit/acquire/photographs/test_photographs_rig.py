@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import tifffile
+from deep_pictures import deep_png
 from PIL import Image
 from synthetic_camera import Faults, camera, lambert, render, sphere_for
 from test_calibration import CAMERA, CHARUCO, MATRIX, chart, views
 from test_lights import mirror
-from test_photographs_read import deep_png
 
 from livlab.acquire.photographs.extract import extract_samples
 from livlab.acquire.photographs.open import open_rig

@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
+from deep_pictures import deep_png
 from PIL import Image
 from synthetic_camera import blinn_phong, camera, sphere_for
-from test_photographs_read import deep_png
 
 COUNT = 96
 

@@ -7,7 +7,7 @@ from brdf_fit_rig import lights, pictures
 
 from livlab.brdf.angles import direction, from_half_angles
 from livlab.brdf.fit.fit import compare, fit, pack
-from livlab.brdf.fit.problem import Choices, Layout, Problem
+from livlab.brdf.fit.problem import BrdfProblem, Choices, Layout
 from livlab.brdf.models.model import model
 from livlab.brdf.samples import sample_dataset
 from livlab.brdf.sphere import by_light, extract
@@ -225,7 +225,7 @@ def test_derivatives_are_those_of_the_loss():
         layout = Layout(model(name), data.channels, Choices())
         values = layout.space.values(layout.space.start)
         for loss in ("cosine-weighted-l2", "log", "cube-root"):
-            problem = Problem(layout, data, loss)
+            problem = BrdfProblem(layout, data, loss)
             slope = problem.gradient(values)
             for key, found in slope.items():
                 step = 1e-5 * max(abs(values[key]), 0.1)
@@ -249,7 +249,7 @@ def test_the_linear_bootstrap_is_the_refitted_one():
     def refit(weights):
         from livlab.optimise import minimise
 
-        problem = Problem(layout, data, "cosine-weighted-l2", weights)
+        problem = BrdfProblem(layout, data, "cosine-weighted-l2", weights)
         space = problem.scaled_space(found.values)
         return minimise(problem.value, space, gradient=problem.gradient, warn=False).best
 
@@ -335,7 +335,7 @@ def test_what_cannot_be_fitted_is_refused(narrow):
 
 def test_ctrl_c_stops_all_of_it(monkeypatch):
     calls = []
-    original = Problem.value
+    original = BrdfProblem.value
 
     def counted(self, values):
         calls.append(1)
@@ -343,7 +343,7 @@ def test_ctrl_c_stops_all_of_it(monkeypatch):
             raise KeyboardInterrupt
         return original(self, values)
 
-    monkeypatch.setattr(Problem, "value", counted)
+    monkeypatch.setattr(BrdfProblem, "value", counted)
     with pytest.raises(Interrupted):
         fit(made("lambert+ggx", TRUTH["lambert+ggx"]), "lambert+ggx")
     assert len(calls) == 40
