@@ -185,7 +185,7 @@ def add(
     from livlab.datasets.add import existing_meta, free_name
     from livlab.datasets.draft import read_draft
     from livlab.datasets.meta import KINDS
-    from livlab.datasets.reader import suggested_name
+    from livlab.datasets.readers.raw import suggested_name
 
     draft = read_draft(
         file,

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from livlab.datasets.heading import UNIT_IN_NAME
 from livlab.datasets.meta import COLUMN_PATTERN, WAVELENGTH
 from livlab.datasets.quantity import parse_unit, require_unit
-from livlab.datasets.reader import RawTable, read_csv, shown
+from livlab.datasets.readers.raw import RawTable, shown
+from livlab.datasets.readers.registry import read_table
 from livlab.errors import InputError
 from livlab.units import FloatArray
 
@@ -89,7 +90,7 @@ def read_draft(
     Parameters
     ----------
     path
-        Text table of any usual form (see `livlab.datasets.reader`).
+        Text table of any usual form (see `livlab.datasets.readers.text`).
     columns
         Names of the columns after the wavelength, in the file's order, each ``NAME`` or ``NAME:UNIT``; they take
         the place of the file's headings.
@@ -112,7 +113,7 @@ def read_draft(
         If the file cannot be read.
     """
     path = Path(path)
-    raw = read_csv(path)
+    raw = read_table(path)
     notes = list(raw.understood)
     values = np.array(raw.rows, dtype=np.float64)
     axis = _axis(raw, notes) if wavelength else None

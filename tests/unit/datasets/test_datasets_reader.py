@@ -10,7 +10,9 @@ import pytest
 
 from livlab.datasets.draft import Draft, read_draft
 from livlab.datasets.quantity import convert_factor, known_units, parse_unit
-from livlab.datasets.reader import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, read_csv
+from livlab.datasets.readers.raw import RawTable
+from livlab.datasets.readers.registry import READERS, Reader, read_table
+from livlab.datasets.readers.text import MAX_BYTES, MAX_COLUMNS, MAX_ROWS
 from livlab.errors import InputError, LivlabError
 
 PLAIN = "wavelength_nm,reflectance\n500,0.25\n510.5,0.3\n520,0.125\n"
@@ -186,7 +188,7 @@ def test_a_huge_file_is_refused_at_once(tmp_path: Path, size: int) -> None:
         stream.truncate(size)
     start = time.perf_counter()
     with pytest.raises(InputError, match=r"MiB, more than the 8 MiB.*add that file"):
-        read_csv(file)
+        read_table(file)
     assert time.perf_counter() - start < 0.5
 
 
@@ -204,16 +206,16 @@ def test_the_longest_file_is_read_in_seconds(tmp_path: Path) -> None:
 
 def test_what_is_not_a_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
-        read_csv(tmp_path / "absent.csv")
+        read_table(tmp_path / "absent.csv")
     with pytest.raises(InputError, match=r"is not a (regular )?file"):
-        read_csv(tmp_path)
+        read_table(tmp_path)
     with pytest.raises(InputError, match="is not a file name"):
-        read_csv(Path("a\0b"))
+        read_table(Path("a\0b"))
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="is not a file"):
-        read_csv(tmp_path / "file" / "x.csv")
+        read_table(tmp_path / "file" / "x.csv")
     with pytest.raises(LivlabError):
-        read_csv(tmp_path / ("x" * 5000))
+        read_table(tmp_path / ("x" * 5000))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
@@ -223,7 +225,7 @@ def test_a_named_pipe_does_not_hang(tmp_path: Path) -> None:
 
     def attempt() -> None:
         try:
-            read_csv(tmp_path / "pipe")
+            read_table(tmp_path / "pipe")
         except LivlabError as error:
             failed.append(error)
 
@@ -276,4 +278,26 @@ def test_a_long_path_keeps_the_name_of_the_file(tmp_path: Path) -> None:
     folder = tmp_path / ("d" * 100)
     folder.mkdir()
     with pytest.raises(InputError, match=r"dd/absent\.csv'"):
-        read_csv(folder / "absent.csv")
+        read_table(folder / "absent.csv")
+
+
+def test_a_further_reader_is_one_function_and_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_toy(path: Path) -> RawTable:
+        pairs = np.frombuffer(path.read_bytes()[4:]).reshape(-1, 2)
+        rows = tuple((float(a), float(b)) for a, b in pairs)
+        lines = tuple(range(1, len(rows) + 1))
+        return RawTable(path, ("wavelength", "reflectance"), ("nm", "1"), lines, rows, ("a toy's file",))
+
+    def begins(path: Path, start: bytes) -> bool:
+        return start.startswith(b"TOY!")
+
+    monkeypatch.setitem(READERS, "toy", Reader("toy", read_toy, begins, (".toy",)))
+    content = b"TOY!" + np.array([[500.0, 0.1], [510.0, 0.2]]).tobytes()
+    (tmp_path / "a.TOY").write_bytes(content)
+    assert read_draft(tmp_path / "a.TOY").columns["reflectance"].tolist() == [0.1, 0.2]
+    (tmp_path / "a.csv").write_bytes(content)  # begins like one, and is called otherwise
+    with pytest.raises(InputError, match="control characters"):
+        read_draft(tmp_path / "a.csv")
+    (tmp_path / "b.toy").write_text("nm,R\n500,0.1\n510,0.2\n")  # called like one, and begins otherwise
+    assert read_draft(tmp_path / "b.toy").columns["r"].tolist() == [0.1, 0.2]
+    assert READERS["text"].priority == min(reader.priority for reader in READERS.values())

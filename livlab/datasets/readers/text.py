@@ -1,4 +1,4 @@
-"""Read a user's CSV as it comes: any usual delimiter, decimal comma, BOM, heading or none; say what was understood.
+"""A table of text as people have it: any usual delimiter, decimal comma, BOM, heading or none; says what it understood.
 
 Numbers are never guessed: a cell that is not a plain finite number is an error that names its row and column.
 """
@@ -9,15 +9,13 @@ import codecs
 import csv
 import io
 import math
-import os
 import re
-import stat
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
 from livlab.datasets.heading import Line, find_table, number_led
-from livlab.errors import EnvironmentProblem, InputError
+from livlab.datasets.readers.raw import RawTable, shown, whole
+from livlab.errors import InputError
 
 MAX_BYTES = 8 * 1024 * 1024
 MAX_ROWS = 100_000
@@ -61,40 +59,7 @@ _TOO_MUCH_REMEDY = "Keep the columns and wavelengths that you need (every nm is 
 _AS_TEXT_REMEDY = "Export the table as a plain CSV file (comma, semicolon or tab) and add that."
 
 
-@dataclass(frozen=True)
-class RawTable:
-    """A user's table as read.
-
-    Attributes
-    ----------
-    source
-        The file.
-    headings
-        Column headings as written, or None if the file has none.
-    units
-        Unit found in each heading's brackets, livlab's spelling, None where there is none.
-    lines
-        Line of the file that each row is on, as an editor counts.
-    rows
-        The numbers, one tuple a row.
-    understood
-        What was understood of the file's form, in sentences.
-    """
-
-    source: Path
-    headings: tuple[str, ...] | None
-    units: tuple[str | None, ...]
-    lines: tuple[int, ...]
-    rows: tuple[tuple[float, ...], ...]
-    understood: tuple[str, ...]
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.rows[0])
-
-
-def read_csv(path: Path) -> RawTable:
+def read_text(path: Path) -> RawTable:
     """Read a numeric table from a text file of any usual form.
 
     Raises
@@ -136,23 +101,8 @@ def read_csv(path: Path) -> RawTable:
     return RawTable(path, headings, units, tuple(body_lines), tuple(body_rows), tuple(notes))
 
 
-def shown(path: Path) -> str:
-    """Return a path as messages show it: a long one keeps its end, where the file's name is."""
-    text = str(path)
-    return text if len(text) <= 70 else f"...{text[-67:]}"
-
-
-def suggested_name(path: Path) -> str:
-    """Suggest a dataset name after the file's.
-
-    >>> suggested_name(Path("Meu Fígado (2026).csv"))
-    'meu_f_gado_2026'
-    """
-    return re.sub(r"[^a-z0-9]+", "_", path.stem.lower()).strip("_")[:64].strip("_") or "my_dataset"
-
-
 def _text(path: Path) -> tuple[str, list[str]]:
-    content = _bytes(path)
+    content = whole(path, MAX_BYTES, _TOO_MUCH_REMEDY)
     if not content.strip():
         raise InputError.of("file", shown(path), "is empty", "Give a CSV with wavelengths and values.")
     for magic, what in _MAGIC:
@@ -167,35 +117,6 @@ def _text(path: Path) -> tuple[str, list[str]]:
         except UnicodeDecodeError:
             continue
     raise InputError.of("file", shown(path), "is not a text file", _AS_TEXT_REMEDY)
-
-
-def _bytes(path: Path) -> bytes:
-    if "\0" in str(path):
-        raise InputError.of("file", shown(path), "is not a file name", "Give the path of a CSV file.")
-    try:
-        # Non-blocking: a named pipe without a writer must not hang before it is refused.
-        with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as stream:
-            status = os.fstat(stream.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise InputError.of("file", shown(path), "is not a regular file", "Give the path of a CSV file.")
-            content = b"" if status.st_size > MAX_BYTES else stream.read(MAX_BYTES + 1)
-            size = max(status.st_size, len(content))
-            if size > MAX_BYTES:
-                raise InputError.of(
-                    "file",
-                    shown(path),
-                    f"has {size / 2**20:.1f} MiB, more than the {MAX_BYTES // 2**20} MiB that a spectrum may have",
-                    _TOO_MUCH_REMEDY,
-                )
-            return content
-    except FileNotFoundError as error:
-        raise InputError.of("file", shown(path), "does not exist", "Check the path.") from error
-    except (IsADirectoryError, NotADirectoryError) as error:
-        raise InputError.of("file", shown(path), "is not a file", "Give the path of a CSV file.") from error
-    except OSError as error:
-        raise EnvironmentProblem(
-            f"{path} cannot be read: {error.strerror or error}.", remedy="Check the path and its permissions."
-        ) from error
 
 
 def _printable(path: Path, text: str) -> str:

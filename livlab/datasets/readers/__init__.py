@@ -1,0 +1,1 @@
+"""Files of spectra: one reader a file format, one table of readers."""
