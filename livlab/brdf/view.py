@@ -128,17 +128,17 @@ def see(camera: Camera, sphere: Sphere, *, max_angle: float, grazing_px: float, 
     else:
         area = solid * distance2 / cos_o[keep]
     return View(
-        (int(first[1]), int(last[1])),
-        (int(first[0]), int(last[0])),
-        rows[keep].astype(np.int32),
-        columns[keep].astype(np.int32),
-        hits.points_mm[keep],
-        hits.normals[keep],
-        -directions[keep],
-        cos_o[keep],
-        solid,
-        area,
-        radius_px,
+        row_range=(int(first[1]), int(last[1])),
+        column_range=(int(first[0]), int(last[0])),
+        rows=rows[keep].astype(np.int32),
+        columns=columns[keep].astype(np.int32),
+        points_mm=hits.points_mm[keep],
+        normals=hits.normals[keep],
+        to_eye=-directions[keep],
+        cos_o=cos_o[keep],
+        solid_angle_sr=solid,
+        area_mm2=area,
+        radius_px=radius_px,
     )
 
 

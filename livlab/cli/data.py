@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -182,10 +182,7 @@ def add(
 ) -> None:
     """Add your own table to the catalogue: read it, say what was understood, ask what is missing, write it whole."""
     from livlab.datasets.add import add as write
-    from livlab.datasets.add import existing_meta, free_name
     from livlab.datasets.draft import read_draft
-    from livlab.datasets.meta import KINDS
-    from livlab.datasets.readers.raw import suggested_name
 
     draft = read_draft(
         file,
@@ -197,41 +194,54 @@ def add(
     )
     for sentence in draft.understood:
         typer.echo(f"understood: {sentence}")
+    given = {"name": name, "title": title, "source": source, "kind": kind, "doi": doi}
+    given |= {"licence": licence, "uncertainty": uncertainty}
     try:
-        name = _ask(
-            "name", name, suggested_name(file), yes, lambda text: free_name(text, into, replace_existing=replace)
-        )
-        before = existing_meta(name, into) if replace else None
-        known = _known(name, before)
-        draft = _ask_units(draft, before, yes)
-        title = _ask("title", title, known.get("title", name.replace("_", " ")), yes, _some_text)
-        source = _ask("source", source, known.get("source"), yes, _some_text, of=" (who measured it, where, when)")
-        kind = _ask("kind", kind, known.get("kind"), yes, lambda text: _one_of(text, KINDS), of=_KINDS_MEAN)
-        doi = _ask("doi", doi, known.get("doi", ""), yes, str.strip)
-        licence = _ask("licence", licence, known.get("licence", "not stated"), yes, _some_text)
-        uncertainty = _ask("uncertainty", uncertainty, known.get("uncertainty", "not stated"), yes, _some_text)
-        _report(draft)
-        if not yes and not typer.confirm(f"Add it as {name}?", default=True):
-            raise typer.Abort
+        draft, about = _asked(draft, given, into, replace=replace, yes=yes)
     except typer.Abort as stop:
         raise Interrupted(
             "Nothing was added.", remedy="To add without questions: --name --source --kind --unit and --yes."
         ) from stop
-    folder = write(
-        draft,
-        name=name,
-        title=title,
-        source=source,
-        kind=kind,
-        doi=doi,
-        licence=licence,
-        uncertainty=uncertainty,
-        relative_uncertainty=relative_uncertainty,
-        into=into,
-        replace_existing=replace,
+    kept = dict[str, Any](**about, relative_uncertainty=relative_uncertainty, into=into, replace_existing=replace)
+    folder = write(draft, **kept)
+    typer.echo(f"added: {about['name']} in {folder}")
+    typer.echo(f"Use it by name in an experiment, and see it with: livlab data plot {about['name']}")
+
+
+def _asked(
+    draft: Draft, given: dict[str, str | None], into: Path | None, *, replace: bool, yes: bool
+) -> tuple[Draft, dict[str, str]]:
+    """Units and what else is to be known of a dataset: as given, as known, or as the user answers."""
+    from livlab.datasets.add import existing_meta, free_name
+    from livlab.datasets.meta import KINDS
+    from livlab.datasets.readers.raw import suggested_name
+
+    def named(text: str) -> str:
+        return free_name(text, into, replace_existing=replace)
+
+    def of_kind(text: str) -> str:
+        return _one_of(text, KINDS)
+
+    name = _ask("name", given["name"], suggested_name(draft.source_file), yes, named)
+    before = existing_meta(name, into) if replace else None
+    known = {"title": name.replace("_", " "), "doi": "", "licence": "not stated", "uncertainty": "not stated"}
+    known |= _known(name, before)
+    draft = _ask_units(draft, before, yes)
+    questions: tuple[tuple[str, Callable[[str], str], str], ...] = (
+        ("title", _some_text, ""),
+        ("source", _some_text, " (who measured it, where, when)"),
+        ("kind", of_kind, _KINDS_MEAN),
+        ("doi", str.strip, ""),
+        ("licence", _some_text, ""),
+        ("uncertainty", _some_text, ""),
     )
-    typer.echo(f"added: {name} in {folder}")
-    typer.echo(f"Use it by name in an experiment, and see it with: livlab data plot {name}")
+    about = {"name": name}
+    for option, parse, of in questions:
+        about[option] = _ask(option, given[option], known.get(option), yes, parse, of=of)
+    _report(draft)
+    if not yes and not typer.confirm(f"Add it as {name}?", default=True):
+        raise typer.Abort
+    return draft, about
 
 
 def _console() -> Console:

@@ -7,7 +7,7 @@ import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from livlab.core.files import DENSEST
 from livlab.errors import InputError
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from xml.etree import ElementTree
 
     import tifffile
+    from numpy.typing import NDArray
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -67,6 +68,23 @@ def check_png_pixels(path: Path, field: str) -> None:
     if head.startswith(PNG) and len(head) == 26:
         width, height, depth, colour = struct.unpack_from(">IIBB", head, 16)
         check_claim(path, field, height * (width * depth * _SAMPLES.get(colour, 1) // 8), DENSEST)
+
+
+def png_depth(path: Path) -> int:
+    """Bits a channel of a PNG that is there."""
+    with path.open("rb") as stream:
+        return stream.read(25)[24]
+
+
+def deep_png(path: Path) -> NDArray[Any]:
+    """16-bit colour PNG, which Pillow would cut to 8 bits; Pillow has by now found the file to be whole."""
+    import cv2
+    import numpy as np
+
+    array = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if array is None or array.ndim != 3:
+        raise ValueError("16-bit PNG not understood")
+    return np.asarray(array[..., [2, 1, 0, 3][: array.shape[2]]])
 
 
 def check_claim(path: Path, field: str, claimed: int, densest: int) -> None:

@@ -1,7 +1,7 @@
 """The catalogue of hard cases: what is run, what is trusted, and what must hold.
 
 `catalogue.toml` is written by people: inputs, rules, and where each trusted value comes from. `trusted.csv`
-holds the values themselves, computed by `livlab.stress.trusted` from the same inputs.
+holds the values themselves, computed from the same inputs (docs/stress.md).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Expectation(BaseModel):
     quantity: str = Field(min_length=1, description="Name of a result of the case's runner.")
     value: float | None = Field(None, description="Trusted value where it is plain: a bound, a count, an identity.")
     by: str = Field("", description="Why that value holds; for computed ones, the reference that computes it.")
-    reference: str = Field("", description="Function of `livlab.stress.trusted` that computes the value.")
+    reference: str = Field("", description="Function that computes the value (docs/stress.md).")
     of: str = Field("", description="The reference's quantity, if it has another name.")
     rule: Rule = Field("absolute", description="How the allowance is meant.")
     allowed: float = Field(0.0, ge=0.0, description="The allowance, in the rule's measure.")
@@ -160,6 +160,6 @@ def trusted(case: Case, expectation: Expectation) -> tuple[FloatArray, str]:
             f"{case.name}: {expectation.quantity}",
             None,
             "is not in trusted.csv",
-            "Run python -m livlab.stress.trusted.",
+            "Run python -m tests.helpers.trusted_values.",
         )
     return found

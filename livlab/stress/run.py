@@ -8,8 +8,9 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -133,48 +134,60 @@ def write_csv(path: Path, lines: Iterable[Line]) -> None:
 def _without(case: Case, verdict: Verdict, note: str, spent: float) -> tuple[Line, ...]:
     nan = math.nan
     return tuple(
-        Line(case.name, e.quantity, case.what, nan, nan, nan, nan, verdict, spent * (k == 0), "", e.by, note)
+        _line(
+            case, e, e.by, verdict, spent * (k == 0), value=nan, standard_error=nan, trusted=nan, allowed=nan, note=note
+        )
         for k, e in enumerate(case.expect)
     )
 
 
 def _judge(case: Case, e: Expectation, found: Measured | None, spent: float) -> Line:
     want, by = trusted(case, e)
+    fail = partial(_line, case, e, by, "FAIL", spent, value=math.nan, standard_error=math.nan, allowed=0.0)
     if found is None:
-        note = f"the runner {case.run} gives no {e.quantity}"
-        return Line(
-            case.name, e.quantity, case.what, math.nan, math.nan, float(want[0]), 0.0, "FAIL", spent, "", by, note
-        )
+        return fail(trusted=float(want[0]), note=f"the runner {case.run} gives no {e.quantity}")
     value, error = np.broadcast_arrays(found.value, found.error)
     value, error = value.ravel(), error.ravel()
     if want.size not in (1, value.size):
-        note = f"{value.size} values, {want.size} trusted ones: compute them anew"
-        return Line(case.name, e.quantity, case.what, math.nan, math.nan, math.nan, 0.0, "FAIL", spent, "", by, note)
+        return fail(trusted=math.nan, note=f"{value.size} values, {want.size} trusted ones: compute them anew")
     want = np.broadcast_to(want, value.shape)
     allowed = _allowance(e, want, error)
     k = _worst(_excess(e, value, want), allowed)
     # Rounding of the comparison itself: 1 − 0.99 is 0.010000000000000009.
     slack = 4e-16 * max(abs(float(value[k])), abs(float(want[k])))
-    note, verdict = found.note, "PASS"
+    note = found.note
+    verdict: Verdict = "PASS"
     if not math.isfinite(value[k]) and value[k] != want[k]:
         verdict, note = "FAIL", "not a finite number"
     elif e.power is not None and not float(error.max()) <= e.power:
         verdict, note = "FAIL", f"proves nothing: standard error {error.max():.2g} above {e.power:g}"
     elif value[k] != want[k] and not _excess(e, value, want)[k] <= allowed[k] + slack:
         verdict = "FAIL"
-    return Line(
-        case.name,
-        e.quantity,
-        case.what,
-        float(value[k]),
-        float(error[k]),
-        float(want[k]),
-        float(allowed[k]),
-        "PASS" if verdict == "PASS" else "FAIL",
-        spent,
-        case.label(k) if value.size > 1 else "",
+    return _line(
+        case,
+        e,
         by,
-        note,
+        verdict,
+        spent,
+        value=float(value[k]),
+        standard_error=float(error[k]),
+        trusted=float(want[k]),
+        allowed=float(allowed[k]),
+        at=case.label(k) if value.size > 1 else "",
+        note=note,
+    )
+
+
+def _line(case: Case, e: Expectation, by: str, verdict: Verdict, spent: float, **found: Any) -> Line:
+    """A line of a case's expectation; `found` has its numbers, and `at` and `note` where there are such."""
+    return Line(
+        case=case.name,
+        quantity=e.quantity,
+        what=case.what,
+        verdict=verdict,
+        seconds=spent,
+        trusted_by=by,
+        **{"at": "", **found},
     )
 
 

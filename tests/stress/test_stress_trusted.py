@@ -3,12 +3,12 @@
 import math
 
 import pytest
+from trusted_values import table as references
+from trusted_values.forms import fresnel, plates
+from trusted_values.scatterers import cylinder, sphere
+from trusted_values.transport import half_space, thick_slab
 
-from livlab.stress import trusted as references
 from livlab.stress.catalogue import cases, trusted_values
-from livlab.stress.trusted_forms import fresnel, plates
-from livlab.stress.trusted_scatterers import cylinder, sphere
-from livlab.stress.trusted_transport import half_space, thick_slab
 
 pytest.importorskip("mpmath")
 

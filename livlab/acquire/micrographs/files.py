@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.core.files import first_line
-from livlab.core.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
+from livlab.core.picture_files import (
+    DENSEST_TIFF,
+    check_claim,
+    check_png,
+    check_png_pixels,
+    deep_png,
+    opened_tiff,
+    png_depth,
+)
 from livlab.errors import InputError
 
 if TYPE_CHECKING:
@@ -148,24 +156,9 @@ def _pillow_pages(path: Path, magic: bytes) -> Iterator[MicrographPage]:
                 raise _gray(path, f"mode {frame.mode}")
             alpha = "A" in frame.mode or "transparency" in frame.info
             array = np.asarray(frame.convert("RGBA" if alpha else "RGB"))
-            if magic == b"\x89PNG" and _png_depth(path) == 16:
-                array = _deep_png(path)
+            if magic == b"\x89PNG" and png_depth(path) == 16:
+                array = deep_png(path)
             yield _page(path, number, array, is_rgb=True, notes=notes)
-
-
-def _png_depth(path: Path) -> int:
-    with path.open("rb") as stream:
-        return stream.read(25)[24]
-
-
-def _deep_png(path: Path) -> NDArray[Any]:
-    """16-bit colour PNG, which Pillow would cut to 8 bits; Pillow has by now found the file to be whole."""
-    import cv2
-
-    array = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if array is None or array.ndim != 3:
-        raise ValueError("16-bit PNG not understood")
-    return np.asarray(array[..., [2, 1, 0, 3][: array.shape[2]]])
 
 
 def _tiff_pages(path: Path) -> Iterator[MicrographPage]:

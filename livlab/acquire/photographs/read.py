@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from livlab.config.errors import nearest
 from livlab.core.files import first_line
-from livlab.core.picture_files import DENSEST_TIFF, check_claim, check_png, check_png_pixels, opened_tiff
+from livlab.core.picture_files import (
+    DENSEST_TIFF,
+    check_claim,
+    check_png,
+    check_png_pixels,
+    deep_png,
+    opened_tiff,
+    png_depth,
+)
 from livlab.errors import InputError
 
 MAX_PIXELS = 100_000_000
@@ -194,9 +202,9 @@ def _pillow(path: Path) -> Photograph:
         tags = image.getexif()
         exposure, turned = _exif(tags.get_ifd(0x8769)), tags.get(_ORIENTATION, 1) not in (0, 1)
         image.load()
-        deep = kind == "PNG" and _png_depth(path) == 16 and image.mode not in ("I", "I;16", "I;16B", "F")
+        deep = kind == "PNG" and png_depth(path) == 16 and image.mode not in ("I", "I;16", "I;16B", "F")
         if deep:
-            array = _deep_png(path)
+            array = deep_png(path)
         else:
             grey = image.mode in ("1", "L", "LA", "I", "F") or image.mode.startswith("I;")
             array = np.asarray(image if grey else image.convert("RGBA" if "A" in image.mode else "RGB"))
@@ -211,21 +219,6 @@ def _pillow(path: Path) -> Photograph:
     elif "gamma" in info:
         linear = True
     return Photograph(path.name, values, _full_scale(values), exposure, linear, notes, turned)
-
-
-def _png_depth(path: Path) -> int:
-    with path.open("rb") as stream:
-        return stream.read(25)[24]
-
-
-def _deep_png(path: Path) -> NDArray[Any]:
-    """16-bit colour PNG, which Pillow would cut to 8 bits; Pillow has by now found the file to be whole."""
-    import cv2
-
-    array = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if array is None or array.ndim != 3:
-        raise ValueError("16-bit PNG not understood")
-    return np.asarray(array[..., [2, 1, 0, 3][: array.shape[2]]])
 
 
 def _exif(tags: Any) -> Exposure:

@@ -70,39 +70,13 @@ def read_csv(path: Path) -> xr.Dataset:
     DatasetError
         No such file, columns missing or unknown, a cell that is not a number, directions not of unit length.
     """
-    try:
-        text = readable(path, "BRDF file", LARGEST_BYTES, "Write it as NetCDF.", DatasetError)
-        lines = text.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise DatasetError(f"Cannot read {path}: {error.strerror}.", remedy="Check the path.") from error
-    except UnicodeError as error:
-        raise DatasetError(f"Cannot read {path} as text: {error}.", remedy="Save it as CSV in UTF-8.") from error
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    lines = _lines(path)
     names = [name.strip() for name in lines[0].split(",")] if lines else []
     channels = [name.removeprefix("value_") for name in names if name.startswith("value_")]
     errors = [f"standard_error_{name}" for name in channels]
-    known = {*VECTORS, *DEGREES, *EXTRA, *errors, *(f"value_{name}" for name in channels)}
     given = VECTORS if set(VECTORS) <= set(names) else DEGREES
-    missing = [name for name in given if name not in names] + ([] if channels else ["value_NAME"])
-    unknown = [name for name in names if name not in known]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if missing or unknown or twice:
-        what = f"lacks {', '.join(missing)}" if missing else f"has unknown columns {', '.join(unknown)}"
-        raise DatasetError.of(
-            path.name,
-            names,
-            f"has {', '.join(twice)} twice" if twice else what,
-            "Name the columns as docs/brdf.md does; values are in 1/sr, without cosine.",
-        )
-    if len(lines) < 2:
-        raise DatasetError.of(path.name, "no lines", "must hold at least one sample", "The file may be cut short.")
-    try:
-        cells = np.loadtxt(lines[1:], delimiter=",", ndmin=2, dtype=np.float64).reshape(-1, len(names))
-    except ValueError as error:
-        raise DatasetError(
-            f"{path.name} holds a cell that is not a number: {error}.", remedy="Rows are counted without comments."
-        ) from error
-    numbers = dict(zip(names, cells.T, strict=True))
+    _check_names(path, names, given, channels)
+    numbers = _numbers(path, lines, names)
     if given == VECTORS:
         wi = np.stack([numbers[name] for name in VECTORS[:3]], axis=1)
         wo = np.stack([numbers[name] for name in VECTORS[3:]], axis=1)
@@ -110,13 +84,6 @@ def read_csv(path: Path) -> xr.Dataset:
         theta_i, phi_i, theta_o, phi_o = (np.deg2rad(numbers[name]) for name in DEGREES)
         wi, wo = direction(theta_i, phi_i), direction(theta_o, phi_o)
     complete = all(name in numbers for name in errors)
-    for name in WHOLE:
-        bad = np.flatnonzero(~(np.abs(numbers.get(name, np.zeros(1))) < 2**31))  # NaN too
-        if bad.size:
-            raise DatasetError.of(
-                f"{path.name}, sample {bad[0] + 1}, {name}", float(numbers[name][bad[0]]), "must be a number below 2³¹",
-                "Mend it, or leave the column out.",
-            )  # fmt: skip
     extra = {
         name: numbers[name].astype(np.int32) if name in WHOLE else numbers[name] for name in EXTRA if name in numbers
     }
@@ -132,6 +99,55 @@ def read_csv(path: Path) -> xr.Dataset:
         )
     except InputError as error:
         raise DatasetError(f"{path.name}: {error.message}", remedy=error.remedy) from error
+
+
+def _lines(path: Path) -> list[str]:
+    """The names' line and the samples', without comments."""
+    try:
+        text = readable(path, "BRDF file", LARGEST_BYTES, "Write it as NetCDF.", DatasetError)
+        lines = text.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise DatasetError(f"Cannot read {path}: {error.strerror}.", remedy="Check the path.") from error
+    except UnicodeError as error:
+        raise DatasetError(f"Cannot read {path} as text: {error}.", remedy="Save it as CSV in UTF-8.") from error
+    return [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _check_names(path: Path, names: list[str], given: tuple[str, ...], channels: list[str]) -> None:
+    errors, values = (f"standard_error_{name}" for name in channels), (f"value_{name}" for name in channels)
+    known = {*VECTORS, *DEGREES, *EXTRA, *errors, *values}
+    missing = [name for name in given if name not in names] + ([] if channels else ["value_NAME"])
+    unknown = [name for name in names if name not in known]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if missing or unknown or twice:
+        what = f"lacks {', '.join(missing)}" if missing else f"has unknown columns {', '.join(unknown)}"
+        raise DatasetError.of(
+            path.name,
+            names,
+            f"has {', '.join(twice)} twice" if twice else what,
+            "Name the columns as docs/brdf.md does; values are in 1/sr, without cosine.",
+        )
+
+
+def _numbers(path: Path, lines: list[str], names: list[str]) -> dict[str, npt.NDArray[np.float64]]:
+    """The columns by name; those of whole numbers are small enough to be such."""
+    if len(lines) < 2:
+        raise DatasetError.of(path.name, "no lines", "must hold at least one sample", "The file may be cut short.")
+    try:
+        cells = np.loadtxt(lines[1:], delimiter=",", ndmin=2, dtype=np.float64).reshape(-1, len(names))
+    except ValueError as error:
+        raise DatasetError(
+            f"{path.name} holds a cell that is not a number: {error}.", remedy="Rows are counted without comments."
+        ) from error
+    numbers = dict(zip(names, cells.T, strict=True))
+    for name in WHOLE:
+        bad = np.flatnonzero(~(np.abs(numbers.get(name, np.zeros(1))) < 2**31))  # NaN too
+        if bad.size:
+            raise DatasetError.of(
+                f"{path.name}, sample {bad[0] + 1}, {name}", float(numbers[name][bad[0]]), "must be a number below 2³¹",
+                "Mend it, or leave the column out.",
+            )  # fmt: skip
+    return numbers
 
 
 def _write(path: Path, data: xr.Dataset, _: Holes) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ import xarray as xr
 
 from livlab.brdf.angles import half_angles
 from livlab.brdf.fit import blocks
-from livlab.brdf.geometry import Light, Sphere
+from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.models.lobes import Cosines
 from livlab.brdf.rig import rig_of
 from livlab.brdf.samples import check_samples
@@ -108,6 +108,29 @@ class Packed:
         )
 
 
+class _Raw(NamedTuple):
+    """Samples as they came: directions (n, 3), values and errors (n, channels), and which of them can be used."""
+
+    wi: FloatArray
+    wo: FloatArray
+    value: FloatArray
+    error: FloatArray
+    keep: IntArray
+    channels: tuple[str, ...]
+
+
+class _Lit(NamedTuple):
+    """The pixels of one light: their samples' numbers, cosines, received light and angles."""
+
+    number: int
+    light: Light
+    pixels: IntArray
+    cos_i: FloatArray
+    received: FloatArray
+    theta_h: FloatArray
+    theta_d: FloatArray
+
+
 def pack(samples: xr.Dataset | Iterable[xr.Dataset], footprint: Footprint = "auto") -> Packed:
     """Pack one data set, or several of the same rig one after another (`livlab.brdf.sphere.by_light`).
 
@@ -158,22 +181,14 @@ def _pack_one(samples: xr.Dataset, footprint: Footprint) -> Packed:
     channels = channels or tuple(str(c) for c in range(value.shape[1]))
     names = ("light", "row", "column")
     if "camera_matrix" not in samples or not all(n in samples.coords for n in names):
-        return _plain(wi, wo, value, error, keep, samples, channels, footprint)
-    return _pictured(samples, wi, wo, value, error, keep, channels, footprint)
+        return _plain(samples, _Raw(wi, wo, value, error, keep, channels), footprint)
+    return _pictured(samples, _Raw(wi, wo, value, error, keep, channels), footprint)
 
 
-def _plain(
-    wi: FloatArray,
-    wo: FloatArray,
-    value: FloatArray,
-    error: FloatArray,
-    keep: IntArray,
-    samples: xr.Dataset,
-    channels: tuple[str, ...],
-    footprint: Footprint,
-) -> Packed:
+def _plain(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
     """Samples that are no pixels: points at their directions."""
-    wi, wo = wi[keep], wo[keep]
+    keep = raw.keep
+    wi, wo = raw.wi[keep], raw.wo[keep]
     half = half_angles(wi, wo)
     at = Cosines(np.ascontiguousarray(wi[:, 2]), np.ascontiguousarray(wo[:, 2]), np.einsum("ni,ni->n", wi, wo))
     light = samples["light"].values[keep] if "light" in samples.coords else np.zeros(keep.size, dtype=np.intp)
@@ -184,80 +199,82 @@ def _plain(
         ("the samples carry no camera: the model is taken at their directions, not over pixels",) if footprint else ()
     )
     return Packed(
-        value[keep], error[keep], at.i, np.ones(keep.size), at, np.ones(keep.size), np.arange(keep.size),
-        light.astype(np.intp), tile.astype(np.intp), half.theta_h, half.theta_d, channels,
-        0.0, DIRECTIONS, len(value) - keep.size, notes,
-    )  # fmt: skip
+        value=raw.value[keep],
+        error=raw.error[keep],
+        cos_i=at.i,
+        pixels=np.ones(keep.size),
+        at=at,
+        weight=np.ones(keep.size),
+        first=np.arange(keep.size),
+        light=light.astype(np.intp),
+        tile=tile.astype(np.intp),
+        theta_h=half.theta_h,
+        theta_d=half.theta_d,
+        channels=raw.channels,
+        dropped=len(raw.value) - keep.size,
+        notes=notes,
+    )
 
 
-def _pictured(
-    samples: xr.Dataset,
-    wi: FloatArray,
-    wo: FloatArray,
-    value: FloatArray,
-    error: FloatArray,
-    keep: IntArray,
-    channels: tuple[str, ...],
-    footprint: Footprint,
-) -> Packed:
+def _pictured(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
     """Pixels of a sphere, light by light."""
     camera, lights, sphere = rig_of(samples)
     light_of, row, column = (samples[n].values.astype(np.intp) for n in ("light", "row", "column"))
     known = samples.attrs.get("radius_px")
     radius = float(np.sqrt(len(np.unique(row * camera.width + column)) / np.pi) if known is None else known)
     angles = [samples[n].values for n in ("theta_h", "theta_d")] if "theta_d" in samples.coords else None
-    parts = []
-    for number in np.unique(light_of[keep]):
-        mine = keep[light_of[keep] == number]
+    parts: list[Packed] = []
+    for number in np.unique(light_of[raw.keep]):
+        mine = raw.keep[light_of[raw.keep] == number]
         # A data set of one light keeps the light's number, but its rig holds that light alone.
         light = lights[0] if len(lights) == 1 else lights[int(number)]
-        theta_h, theta_d = half_angles(wi[mine], wo[mine])[:2] if angles is None else (a[mine] for a in angles)
-        cos_i, cos_o = wi[mine, 2], wo[mine, 2]
-        received = cos_i * _scale(light, sphere, cos_i)
+        found = half_angles(raw.wi[mine], raw.wo[mine])[:2] if angles is None else (a[mine] for a in angles)
+        theta_h, theta_d = found
+        cos_i, cos_o = raw.wi[mine, 2], raw.wo[mine, 2]
+        lit = _Lit(int(number), light, mine, cos_i, cos_i * _scale(light, sphere, cos_i), theta_h, theta_d)
         squares = (
             blocks.plan(row[mine], column[mine], theta_h, cos_i, cos_o, radius)
             if footprint == "auto"
             else blocks.single_pixels(row[mine], column[mine])
         )
-        for square in squares:
-            share = received[square.members]
-            total = share.sum(axis=1)
-            share = share / total[:, None]
-            rule = (
-                blocks.gauss(square.order)
-                if footprint == "auto"
-                else blocks.midpoints(1 if footprint is None else int(footprint))
-            )
-            if footprint is None:
-                first = mine[square.members[:, 0]]
-                io = np.einsum("ni,ni->n", wi[first], wo[first])[:, None]
-                points = blocks.Points(wi[first, 2:], wo[first, 2:], io, np.ones_like(io))
-            else:
-                points = blocks.see_points(camera, sphere, light, square, total, rule)
-            members = mine[square.members]
-            n, k = points.weight.shape
-            middle = 0.5 * (square.side - 1)
-            tile = (square.row + middle) // TILE * 65536 + (square.column + middle) // TILE
-            parts.append(
-                Packed(
-                    np.einsum("nk,nkc->nc", share, value[members]),
-                    np.sqrt(np.einsum("nk,nkc->nc", share**2, error[members] ** 2)),
-                    cos_i[square.members].mean(axis=1),
-                    np.full(n, float(square.side**2)),
-                    Cosines(points.cos_i.ravel(), points.cos_o.ravel(), points.cos_io.ravel()),
-                    points.weight.ravel(),
-                    np.arange(n) * k,
-                    np.full(n, number, dtype=np.intp),
-                    (int(number) << 40) + tile.astype(np.intp),
-                    theta_h[square.members].mean(axis=1),
-                    theta_d[square.members].mean(axis=1),
-                    channels,
-                )
-            )
-    packed = _joined(parts) if parts else _plain(wi, wo, value, error, keep, samples, channels, None)
+        parts += [_squares(raw, lit, square, (camera, sphere), footprint) for square in squares]
+    packed = _joined(parts) if parts else _plain(samples, raw, None)
     solid = np.asarray(samples["source_solid_angle"].values) if "source_solid_angle" in samples.coords else np.zeros(1)
     radius = float(np.sqrt(max(np.nanmax(solid, initial=0.0), 0.0) / np.pi))
-    return replace(packed, dropped=len(value) - keep.size, footprint=in_words(footprint), source_rad=radius)
+    dropped = len(raw.value) - raw.keep.size
+    return replace(packed, dropped=dropped, footprint=in_words(footprint), source_rad=radius)
+
+
+def _squares(raw: _Raw, lit: _Lit, square: blocks.Square, rig: tuple[Camera, Sphere], footprint: Footprint) -> Packed:
+    """The squares of one size of one light, a sample each."""
+    share = lit.received[square.members]
+    total = share.sum(axis=1)
+    share = share / total[:, None]
+    members = lit.pixels[square.members]
+    if footprint is None:
+        first = members[:, 0]
+        io = np.einsum("ni,ni->n", raw.wi[first], raw.wo[first])[:, None]
+        points = blocks.Points(raw.wi[first, 2:], raw.wo[first, 2:], io, np.ones_like(io))
+    else:
+        rule = blocks.gauss(square.order) if footprint == "auto" else blocks.midpoints(int(footprint))
+        points = blocks.see_points(*rig, lit.light, square, total, rule)
+    n, k = points.weight.shape
+    middle = 0.5 * (square.side - 1)
+    tile = (square.row + middle) // TILE * 65536 + (square.column + middle) // TILE
+    return Packed(
+        value=np.einsum("nk,nkc->nc", share, raw.value[members]),
+        error=np.sqrt(np.einsum("nk,nkc->nc", share**2, raw.error[members] ** 2)),
+        cos_i=lit.cos_i[square.members].mean(axis=1),
+        pixels=np.full(n, float(square.side**2)),
+        at=Cosines(points.cos_i.ravel(), points.cos_o.ravel(), points.cos_io.ravel()),
+        weight=points.weight.ravel(),
+        first=np.arange(n) * k,
+        light=np.full(n, lit.number, dtype=np.intp),
+        tile=(lit.number << 40) + tile.astype(np.intp),
+        theta_h=lit.theta_h[square.members].mean(axis=1),
+        theta_d=lit.theta_d[square.members].mean(axis=1),
+        channels=raw.channels,
+    )
 
 
 def _scale(light: Light, sphere: Sphere, cos_i: FloatArray) -> FloatArray | float:

@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from livlab.brdf.fit.loss import LossName
 from livlab.brdf.fit.problem import BrdfProblem, Choices, Layout, Sharing
 from livlab.brdf.fit.report import combinations_in_words, parameter_table, sentences
 from livlab.brdf.fit.result import BrdfFit
-from livlab.brdf.fit.spread import Resampling, spread
+from livlab.brdf.fit.spread import Resampling, Spread, spread
 from livlab.brdf.models.model import Model, model
 from livlab.errors import InputError, Interrupted
 from livlab.optimise import FitWarning, OptimiseResult, ParameterSpace, identifiability, minimise
@@ -109,26 +110,38 @@ def fit(
             "samples", data.value.size, f"are too few for {len(layout.space.names)} parameters", "Fix some parameters."
         )
     problem = BrdfProblem(layout, data, loss)
-    found, tried = _search(problem, loss, max(starts, 1), algorithm, begun + max_seconds, seed)
-    values = found.best
+    search = _Search(max(starts, 1), algorithm, begun + max_seconds, seed)
+    found, tried = _search(problem, loss, search)
     # The last stage began at its optimum; what counts is where the search began.
-    start_x = layout.space.start
-    found = replace(found, status=layout.space.status(layout.space.vector(values), start_x))
-    sure = spread(problem, values, resampling=bootstrap, replicates=replicates, level=level, seed=seed)
+    found = replace(found, status=layout.space.status(layout.space.vector(found.best), layout.space.start))
+    sure = spread(problem, found.best, resampling=bootstrap, replicates=replicates, level=level, seed=seed)
+    result = _result(problem, loss, found, tried, sure, level=level, begun=begun)
+    if warn:
+        for note in result.warnings:
+            warnings.warn(note, FitWarning, stacklevel=2)
+    return result
+
+
+def _result(
+    problem: BrdfProblem,
+    loss: LossName,
+    found: OptimiseResult,
+    tried: pd.DataFrame,
+    sure: Spread,
+    *,
+    level: float,
+    begun: float,
+) -> BrdfFit:
+    """What a fit tells of an optimum and how sure it is."""
+    layout, data, values = problem.layout, problem.data, found.best
     held = identifiability(sure.independent, lost=LOST_CONDITION)
-    table = parameter_table(layout, values, found.status, sure, held)
-    loose = combinations_in_words(layout, values, sure, held)
     rss = 2.0 * problem.value(values)
     rmse, relative = _rms(problem, values)
-    count, free_count = data.value.size, len(layout.space.names)
-    likelihood = sure.effective * math.log(max(rss, 1e-300) / count)
-    notes = sentences(problem, found, held, sure)
-    if warn:
-        for note in notes:
-            warnings.warn(note, FitWarning, stacklevel=2)
+    free = len(layout.space.names)
+    likelihood = sure.effective * math.log(max(rss, 1e-300) / data.value.size)
     return BrdfFit(
-        model=chosen,
-        table=table,
+        model=layout.model,
+        table=parameter_table(layout, values, found.status, sure, held),
         loss=f"{loss}: {problem.loss.words}",
         loss_value=0.5 * rss,
         rmse=rmse,
@@ -136,17 +149,17 @@ def fit(
         samples=data.size,
         pixels=int(data.pixels.sum()),
         effective=sure.effective,
-        aic=likelihood + 2.0 * (free_count + 1),
-        bic=likelihood + math.log(max(sure.effective, 2.0)) * (free_count + 1),
+        aic=likelihood + 2.0 * (free + 1),
+        bic=likelihood + math.log(max(sure.effective, 2.0)) * (free + 1),
         correlation=sure.independent.correlation,
         identifiability=held,
-        combinations=loose,
+        combinations=combinations_in_words(layout, values, sure, held),
         footprint=data.footprint,
         resampled=sure.resampled,
         left_out=sure.left_out,
         level=level,
         theta_d_range=(float(data.theta_d.min()), float(data.theta_d.max())),
-        warnings=tuple(notes),
+        warnings=tuple(sentences(problem, found, held, sure)),
         search=found,
         starts=tried,
         seconds=time.perf_counter() - begun,
@@ -209,25 +222,32 @@ def compare(
     return table, results
 
 
-def _search(
-    problem: BrdfProblem, loss: str, starts: int, algorithm: str, deadline: float, seed: int
-) -> tuple[OptimiseResult, pd.DataFrame]:
+class _Search(NamedTuple):
+    """How the optimum is looked for: starts that are followed, NLopt's algorithm, when it must end, seed of trials."""
+
+    starts: int
+    algorithm: str
+    deadline: float
+    seed: int
+
+
+def _search(problem: BrdfProblem, loss: str, how: _Search) -> tuple[OptimiseResult, pd.DataFrame]:
     """Try shapes on a part of the samples, follow the best there, and take the best of those to all samples."""
     layout, data = problem.layout, problem.data
-    part = BrdfProblem(layout, data.select(_part(data, seed)) if data.size > PART else data, loss, quick=True)
-    trials = _trials(part, starts, seed)
+    part = BrdfProblem(layout, data.select(_part(data, how.seed)) if data.size > PART else data, loss, quick=True)
+    trials = _trials(part, how.starts, how.seed)
     rows, best = [], None
-    for number, values in enumerate(trials[:starts]):
-        one = _minimise(part, values, algorithm, deadline, seed + number, 1e-9)
+    for number, values in enumerate(trials[: how.starts]):
+        one = _minimise(part, values, how._replace(seed=how.seed + number), 1e-9)
         rows.append({"value": one.value, "evaluations": one.evaluations, "stop": one.stop, **one.best})
         if best is None or one.value < best.value:
             best = one
     assert best is not None
     tried = pd.DataFrame(rows)
     tried.index.name = "start"
-    final = _minimise(problem, best.best, algorithm, deadline, seed, 1e-12)
+    final = _minimise(problem, best.best, how, 1e-12)
     # A second go, rescaled where the first ended, mends a quasi-Newton matrix that went astray.
-    again = _minimise(problem, final.best, algorithm, deadline, seed, 1e-13) if final.converged else final
+    again = _minimise(problem, final.best, how, 1e-13) if final.converged else final
     return (again if again.value <= final.value and again.converged else final), tried
 
 
@@ -268,9 +288,7 @@ def _trials(problem: BrdfProblem, starts: int, seed: int) -> list[dict[str, floa
     return [values for _, _, values in sorted(scored)]
 
 
-def _minimise(
-    problem: BrdfProblem, values: Mapping[str, float], algorithm: str, deadline: float, seed: int, tolerance: float
-) -> OptimiseResult:
+def _minimise(problem: BrdfProblem, values: Mapping[str, float], how: _Search, tolerance: float) -> OptimiseResult:
     space: ParameterSpace = problem.scaled_space(values)
     size = max(problem.value(values), 1e-300)
 
@@ -284,12 +302,12 @@ def _minimise(
         objective,
         space,
         gradient=gradient,
-        algorithm=algorithm,
+        algorithm=how.algorithm,
         value_tolerance=tolerance,
         parameter_tolerance=1e-9,
         max_evaluations=300 * (len(space.names) + 1),
-        max_seconds=max(deadline - time.perf_counter(), 1e-3),
-        seed=seed,
+        max_seconds=max(how.deadline - time.perf_counter(), 1e-3),
+        seed=how.seed,
         warn=False,
     )
     if found.interrupted:

@@ -10,7 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from livlab.brdf.models.kernels import GGX, dielectric, smith_lambda
+from livlab.brdf.models.codes import GGX
+from livlab.brdf.models.kernels import dielectric, smith_lambda
 from livlab.core.compiled import compiled
 from livlab.units import FloatArray
 
@@ -115,7 +116,7 @@ def coating(alpha: float, eta: float, distribution: int) -> tuple[FloatArray, fl
     alpha, eta
         Roughness and relative refractive index (inside over outside).
     distribution
-        GGX or BECKMANN of `models_kernels`.
+        GGX or BECKMANN of `livlab.brdf.models.codes`.
     """
     # The renderer places its table like this, ends off 0 and 1.
     cosines = np.linspace(1e-6, 1.0 - 1e-6, TABLE_SIZE)

@@ -8,14 +8,9 @@ from __future__ import annotations
 
 import math
 
+from livlab.brdf.models.codes import CONDUCTOR, DIELECTRIC, GGX, SCHLICK, Facets
 from livlab.core.compiled import compiled
 from livlab.units import FloatArray
-
-MIRROR, DIELECTRIC, CONDUCTOR, SCHLICK = range(4)
-"""Codes of the Fresnel terms of `microfacet`."""
-
-GGX, BECKMANN = range(2)
-"""Codes of its distributions of normals."""
 
 
 @compiled
@@ -68,14 +63,13 @@ def microfacet(
     cos_o: FloatArray,
     cos_io: FloatArray,
     alpha: float,
-    distribution: int,
-    correlated: bool,
-    fresnel: int,
+    facets: Facets,
     f1: float,
     f2: float,
     out: FloatArray,
 ) -> None:
     """F D G / (4 cos θ_i cos θ_o) (Walter et al. 2007, eq. 20) with Smith's G, separable or height-correlated."""
+    distribution, fresnel, correlated = facets
     a2 = alpha * alpha
     for j in range(out.size):
         ci, co, total = cos_i[j], cos_o[j], 2.0 + 2.0 * cos_io[j]

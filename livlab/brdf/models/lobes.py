@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from livlab.brdf.models.codes import BECKMANN, CONDUCTOR, DIELECTRIC, GGX, MIRROR, SCHLICK, Facets
 from livlab.optimise import Parameter
 from livlab.units import FloatArray
 
@@ -213,12 +214,12 @@ def _lafortune(at: Cosines, v: Values, out: FloatArray) -> None:
     lafortune(at.i, at.o, at.io, v["ratio"], v["exponent"], out)
 
 
-def _microfacet(distribution: int, fresnel: int, first: str = "", second: str = "", correlated: bool = False) -> Kernel:
+def _microfacet(facets: Facets, first: str = "", second: str = "") -> Kernel:
     def run(at: Cosines, v: Values, out: FloatArray) -> None:
         from livlab.brdf.models.kernels import microfacet
 
         f1, f2 = v.get(first, 0.0), v.get(second, 0.0)
-        microfacet(at.i, at.o, at.io, v["alpha"], distribution, correlated, fresnel, f1, f2, out)
+        microfacet(at.i, at.o, at.io, v["alpha"], facets, f1, f2, out)
 
     return run
 
@@ -250,28 +251,23 @@ def _quick_plastic_base(distribution: int) -> Callable[[Values, float, float], K
     return prepare
 
 
-# The codes of models_kernels, repeated so that listing models needs no compiler.
-_MIRROR, _DIELECTRIC, _CONDUCTOR, _SCHLICK = range(4)
-_GGX, _BECKMANN = range(2)
-
-
 def _facets() -> list[Lobe]:
     """Microfacet lobes: two distributions, four Fresnel terms, and for GGX the height-correlated shadowing."""
     terms = {
-        "": (_DIELECTRIC, "eta", "", (KS, ALPHA, ETA), "clear dielectric in air"),
-        "-mirror": (_MIRROR, "", "", (KS, ALPHA), "reflectance that does not depend on the angle"),
-        "-conductor": (_CONDUCTOR, "eta", "k", (KS, ALPHA, CONDUCTOR_ETA, K), "metal of index eta + ik in air"),
-        "-schlick": (_SCHLICK, "F0", "", (FIXED_KS, ALPHA, F0), "Schlick's Fresnel term, within 1 % for F0 below 0.1"),
+        "": (DIELECTRIC, "eta", "", (KS, ALPHA, ETA), "clear dielectric in air"),
+        "-mirror": (MIRROR, "", "", (KS, ALPHA), "reflectance that does not depend on the angle"),
+        "-conductor": (CONDUCTOR, "eta", "k", (KS, ALPHA, CONDUCTOR_ETA, K), "metal of index eta + ik in air"),
+        "-schlick": (SCHLICK, "F0", "", (FIXED_KS, ALPHA, F0), "Schlick's Fresnel term, within 1 % for F0 below 0.1"),
     }
     found = []
-    for distribution, code in (("ggx", _GGX), ("beckmann", _BECKMANN)):
+    for distribution, code in (("ggx", GGX), ("beckmann", BECKMANN)):
         for ending, (fresnel, first, second, parameters, domain) in terms.items():
             found.append(
                 Lobe(
                     f"{distribution}{ending}",
-                    WALTER if code == _GGX else "Cook & Torrance 1982; Walter et al. 2007, eq. 20, 25, 27",
+                    WALTER if code == GGX else "Cook & Torrance 1982; Walter et al. 2007, eq. 20, 25, 27",
                     parameters,
-                    _microfacet(code, fresnel, first, second),
+                    _microfacet(Facets(code, fresnel), first, second),
                     "ks",
                     f"{domain}; single scattering: loses energy as alpha nears 1; {UPPER}",
                 )
@@ -281,7 +277,7 @@ def _facets() -> list[Lobe]:
             "ggx-correlated",
             "Heitz 2014, eq. 99",
             (KS, ALPHA, ETA),
-            _microfacet(_GGX, _DIELECTRIC, "eta", correlated=True),
+            _microfacet(Facets(GGX, DIELECTRIC, correlated=True), "eta"),
             "ks",
             f"clear dielectric in air, shadowing and masking correlated by height; {UPPER}",
         )
@@ -357,19 +353,19 @@ LOBES: dict[str, Lobe] = {
             "plastic-base",
             "Jakob et al., Mitsuba 3, roughplastic",
             (KD, ALPHA, ETA),
-            _plastic_base(_GGX),
+            _plastic_base(GGX),
             "kd",
             f"diffuse base under a rough dielectric coat (GGX), with what is reflected inside; {UPPER}",
-            quick=_quick_plastic_base(_GGX),
+            quick=_quick_plastic_base(GGX),
         ),
         Lobe(
             "plastic-base-beckmann",
             "Jakob et al., Mitsuba 3, roughplastic",
             (KD, ALPHA, ETA),
-            _plastic_base(_BECKMANN),
+            _plastic_base(BECKMANN),
             "kd",
             f"the same under a Beckmann coat; {UPPER}",
-            quick=_quick_plastic_base(_BECKMANN),
+            quick=_quick_plastic_base(BECKMANN),
         ),
     )
 }

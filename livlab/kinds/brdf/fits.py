@@ -14,7 +14,7 @@ from livlab.kinds.brdf.config import FitSpec
 if TYPE_CHECKING:
     import xarray as xr
 
-    from livlab.brdf.fit.fit import FitResult
+    from livlab.brdf.fit.fit import BrdfFit
 
 COLUMNS = (
     "model", "loss", "parameter", "value", "low", "high", "status", "true", "relative_error", "relative_rmse",
@@ -42,7 +42,7 @@ def known_model(spec: FitSpec, true: Mapping[str, float]) -> None:
                 raise InputError.of(field, name, f"{spec.model} has no such parameter", hint)
 
 
-def fit_samples(samples: xr.Dataset, spec: FitSpec, *, seed: int) -> FitResult:
+def fit_samples(samples: xr.Dataset, spec: FitSpec, *, seed: int) -> BrdfFit:
     """Fit a model as an experiment asks; its warnings stay in the result."""
     from livlab.brdf.fit.fit import fit
 
@@ -61,7 +61,7 @@ def fit_samples(samples: xr.Dataset, spec: FitSpec, *, seed: int) -> FitResult:
     )
 
 
-def relative_error(found: FitResult, true: Mapping[str, float], parameter: str) -> float | None:
+def relative_error(found: BrdfFit, true: Mapping[str, float], parameter: str) -> float | None:
     """Value / true − 1 of a parameter, the largest over its channels; None where the truth is not known."""
     base, _, channel = parameter.partition("[")
     errors = []
@@ -72,7 +72,7 @@ def relative_error(found: FitResult, true: Mapping[str, float], parameter: str) 
     return max(errors, key=abs) if errors else None
 
 
-def fit_rows(found: FitResult, spec: FitSpec, true: Mapping[str, float]) -> list[dict[str, object]]:
+def fit_rows(found: BrdfFit, spec: FitSpec, true: Mapping[str, float]) -> list[dict[str, object]]:
     """One row a parameter that was fitted."""
     rows: list[dict[str, object]] = []
     for name, row in found.table.iterrows():

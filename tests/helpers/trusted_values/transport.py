@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from livlab.stress.inputs import liver, stack
-from livlab.stress.precise import mpmath, spread
-from livlab.stress.trusted_forms import diffuse_fresnel
+
+from .forms import diffuse_fresnel
+from .precise import mpmath, spread
 
 NODES = 64
 DIGITS = 25

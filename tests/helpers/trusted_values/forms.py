@@ -6,7 +6,8 @@ from itertools import pairwise
 from typing import Any
 
 from livlab.stress.inputs import curve
-from livlab.stress.precise import mpmath, spread
+
+from .precise import mpmath, spread
 
 DIGITS = 50
 

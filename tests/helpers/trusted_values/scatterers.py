@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from livlab.stress.precise import mpmath, spread
+from .precise import mpmath, spread
 
 
 def sphere(m: list[float], x: list[float]) -> dict[str, list[Any]]:
@@ -96,11 +96,11 @@ def _cylinder(m: list[float], x: float, zeta: Any) -> tuple[Any, Any, Any]:
         Y = [mp.bessely(0, sine * size), mp.bessely(1, sine * size)]
         for n in range(1, top + 1):
             Y.append(2 * n / (sine * size) * Y[n] - Y[n - 1])
-        D = _log_derivatives(mp, inner * size, top)
+        rod = _Rod(index, size, along, sine, inner, J, Y, _log_derivatives(mp, inner * size, top))
         power, extinction, turn = mp.mpf(0), mp.mpf(0), mp.mpf(0)
         before: list[tuple[Any, Any]] = []
         for n in range(top + 1):
-            now = _cylinder_term(mp, n, index, size, along, sine, inner, J, Y, D[n])
+            now = _cylinder_term(mp, n, rod)
             twice = 1 if n == 0 else 2
             part = twice * sum(_square(p) + _square(q) for p, q in now)
             power += part
@@ -117,10 +117,23 @@ def _cylinder(m: list[float], x: float, zeta: Any) -> tuple[Any, Any, Any]:
         return +q_ext, +q_sca, +g
 
 
-def _cylinder_term(
-    mp: Any, n: int, index: Any, size: Any, along: Any, sine: Any, inner: Any, J: Any, Y: Any, D: Any
-) -> list[tuple[Any, Any]]:
+class _Rod(NamedTuple):
+    """A cylinder under light: its index and size, cosine and sine of ζ, the inner wave number, functions by order."""
+
+    index: Any
+    size: Any
+    along: Any
+    sine: Any
+    inner: Any
+    J: Any
+    Y: Any
+    D: Any
+
+
+def _cylinder_term(mp: Any, n: int, rod: _Rod) -> list[tuple[Any, Any]]:
     """(co-polar, cross-polar) coefficients of order n for E, then H along the axis, unit incident field each."""
+    index, size, along, sine, inner, J, Y, _ = rod
+    D = rod.D[n]
     j, h = J[n], mp.mpc(J[n], Y[n])
     z = sine * size
     dj = (J[n - 1] if n else -J[1]) - n / z * j

@@ -1,4 +1,4 @@
-"""Compute the trusted values of the catalogue anew and store them: python -m livlab.stress.trusted [PATTERN].
+"""Compute the trusted values of the catalogue anew and store them in `livlab/stress/trusted.csv`.
 
 Closed forms and series in 25 to 50 digits and more (mpmath, a development dependency), and adding–doubling at
 64 nodes. What is stored has 17 digits, the most a double can use.
@@ -7,35 +7,35 @@ Closed forms and series in 25 to 50 digits and more (mpmath, a development depen
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Callable
 from typing import Any
 
-from livlab.errors import LivlabError
-from livlab.stress import trusted_forms, trusted_scatterers, trusted_transport
 from livlab.stress.catalogue import COLUMNS, TRUSTED, Case, cases
 
+from . import forms, scatterers, transport
+from .precise import mpmath
+
 REFERENCES: dict[str, tuple[Callable[..., dict[str, list[Any]]], str]] = {
-    "sphere": (trusted_scatterers.sphere, "Mie series, 50 digits and more"),
-    "cylinder": (trusted_scatterers.cylinder, "boundary conditions solved, 60 digits and more"),
-    "cylinder_mean": (trusted_scatterers.cylinder_mean, "boundary conditions solved, 60 digits, Gauss's rule in ζ"),
-    "fresnel": (trusted_forms.fresnel, "closed form, 50 digits"),
-    "diffuse_fresnel": (trusted_forms.diffuse_fresnel, "quadrature, 25 digits"),
-    "plates": (trusted_forms.plates, "closed form, 50 digits"),
-    "packaging": (trusted_forms.packaging, "closed form, 50 digits"),
-    "spheroid": (trusted_forms.spheroid, "closed form, 50 digits"),
-    "penalised": (trusted_forms.penalised, "closed form, 350 digits"),
-    "quantile": (trusted_forms.quantile, "closed form, 700 digits"),
-    "peak": (trusted_forms.peak, "closed form, 50 digits"),
-    "pearson": (trusted_forms.pearson, "definition, 50 digits"),
-    "beer": (trusted_forms.beer, "closed form, 50 digits"),
-    "half_space": (trusted_transport.half_space, "H function, 25 digits"),
-    "thin_slab": (trusted_transport.thin_slab, "single scattering, 25 digits"),
-    "thick_slab": (trusted_transport.thick_slab, "diffusion limit, 25 digits"),
-    "adding_doubling": (trusted_transport.adding_doubling, "adding–doubling, 64 nodes"),
-    "redirect_loss": (trusted_transport.redirect_loss, "adding–doubling, 32 nodes"),
-    "kubelka_munk_layer": (trusted_transport.kubelka_munk_layer, "closed form, 400 digits"),
-    "dipole": (trusted_transport.dipole, "closed form, 50 digits, and quadrature, 25"),
+    "sphere": (scatterers.sphere, "Mie series, 50 digits and more"),
+    "cylinder": (scatterers.cylinder, "boundary conditions solved, 60 digits and more"),
+    "cylinder_mean": (scatterers.cylinder_mean, "boundary conditions solved, 60 digits, Gauss's rule in ζ"),
+    "fresnel": (forms.fresnel, "closed form, 50 digits"),
+    "diffuse_fresnel": (forms.diffuse_fresnel, "quadrature, 25 digits"),
+    "plates": (forms.plates, "closed form, 50 digits"),
+    "packaging": (forms.packaging, "closed form, 50 digits"),
+    "spheroid": (forms.spheroid, "closed form, 50 digits"),
+    "penalised": (forms.penalised, "closed form, 350 digits"),
+    "quantile": (forms.quantile, "closed form, 700 digits"),
+    "peak": (forms.peak, "closed form, 50 digits"),
+    "pearson": (forms.pearson, "definition, 50 digits"),
+    "beer": (forms.beer, "closed form, 50 digits"),
+    "half_space": (transport.half_space, "H function, 25 digits"),
+    "thin_slab": (transport.thin_slab, "single scattering, 25 digits"),
+    "thick_slab": (transport.thick_slab, "diffusion limit, 25 digits"),
+    "adding_doubling": (transport.adding_doubling, "adding–doubling, 64 nodes"),
+    "redirect_loss": (transport.redirect_loss, "adding–doubling, 32 nodes"),
+    "kubelka_munk_layer": (transport.kubelka_munk_layer, "closed form, 400 digits"),
+    "dipole": (transport.dipole, "closed form, 50 digits, and quadrature, 25"),
 }
 """References by name, and what a reader is told of them."""
 
@@ -80,13 +80,4 @@ def main(pattern: str = "") -> int:
 def _text(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
-    from livlab.stress.precise import mpmath
-
     return str(mpmath().nstr(value, DIGITS, strip_zeros=True, min_fixed=-3, max_fixed=3))
-
-
-if __name__ == "__main__":
-    try:
-        sys.exit(main(*sys.argv[1:2]))
-    except LivlabError as trouble:
-        sys.exit(str(trouble))
