@@ -6,6 +6,7 @@ Tests of readers take small files from here, too, so that what is fuzzed is what
 from __future__ import annotations
 
 import gzip
+import hashlib
 import io
 import json
 import sys
@@ -45,12 +46,12 @@ SPECTRUM = "wavelength_nm;reflectance [%]\n" + "".join(f"{x};{10 + x / 100:.2f}\
 PROFILE = "depth_from,depth_to,elastin,collagen\n0,0.5,0.1,0.2\n0.5,1,0.05,0.3\n"
 META = """\
 format = 1
-name = "seed"
-version = "1"
+name = "{name}"
+version = "{version}"
 title = "A liver of mine"
 source = "measured here"
 kind = "tabulated"
-range_nm = [450.0, 700.0]
+range_nm = [450.0, {longest_nm}]
 licence = "mine"
 read_in = "a test"
 sha256 = "{sha256}"
@@ -110,12 +111,10 @@ def seeds(name: str, place: Path) -> list[bytes]:
         presets = resources.files("livlab.model.tissue") / "preset_files"
         return [(presets / f"{organ}.toml").read_bytes() for organ in ("liver", "skin")]
     if name == "dataset":
-        import hashlib
-
         folder = place / "folder"
         folder.mkdir(exist_ok=True)
         table = SPECTRUM.replace(";", ",").replace("reflectance [%]", "reflectance").encode()
-        meta = META.replace("{sha256}", hashlib.sha256(table).hexdigest()).replace('"seed"', '"attempt"').encode()
+        meta = user_meta(table, name="attempt", longest_nm=700.0).encode()
         (folder / "meta.toml").write_bytes(meta)
         (folder / "table.csv").write_bytes(table)
         return [b"\0" + meta, b"\1" + table]
@@ -129,6 +128,12 @@ def seeds(name: str, place: Path) -> list[bytes]:
         "claims": "criterion,value,standard_error,reference,tolerance,verdict,seconds\na,1.0,0.1,1.0,0.5,PASS,2.0\n",
     }
     return [texts[name].encode()]
+
+
+def user_meta(table: bytes, *, name: str = "my_liver", version: str = "1", longest_nm: float = 750.0) -> str:
+    """The meta.toml of a user's spectrum from 450 nm on."""
+    sha256 = hashlib.sha256(table).hexdigest()
+    return META.format(name=name, version=version, longest_nm=longest_nm, sha256=sha256)
 
 
 def _empty(folder: Path) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,7 @@ import typer
 
 from livlab.brdf.files.interface import HOLES
 from livlab.brdf.files.registry import in_words, sources_in_words, written_suffixes
-from livlab.core.files import missing_folder
+from livlab.cli.console import check_output, table_console
 from livlab.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,6 +29,9 @@ app = typer.Typer(no_args_is_help=True, help="BRDFs from photographs of spheres:
 
 Loss = Annotated[str, typer.Option("--loss", help="cosine-weighted-l2, log, cube-root or chi2: it moves the answer.")]
 DEFAULT_LOSS = "cosine-weighted-l2"
+
+WIDTH = 160
+"""Of tables that are not printed on a screen."""
 
 
 def register(parent: typer.Typer) -> None:
@@ -59,13 +61,13 @@ def extract(
     from livlab.brdf.files.formats import write_brdf
     from livlab.brdf.models.model import model
 
-    _writable(output, written_suffixes())
+    check_output(output, written_suffixes())
     if not 0 < max_angle < 90:
         raise InputError.of("--max-angle", max_angle, "must lie between 0 and 90 degrees", "Leave it out for 80.")
     if budget is not None:
         model(budget)  # a misspelt name must not cost an extraction
     photographs = open_rig(rig)
-    console, follow = _console(), _console(stderr=True)
+    console, follow = table_console(WIDTH), table_console(WIDTH, stderr=True)
 
     def progress(done: int, of: int) -> None:
         if follow.is_terminal:
@@ -103,7 +105,7 @@ def fit(
     from livlab.runs.files import write_whole
 
     if output is not None:
-        _writable(output, (".json",))
+        check_output(output, (".json",))
     data = _samples(samples)
     found = fits.fit(data, which, loss=_loss(loss), warn=False)
     if output is not None:
@@ -154,7 +156,7 @@ def plot(
     from livlab.reports.sphere_figures import lobes_of, sphere_figure
     from livlab.runs.files import write_whole
 
-    _writable(output, (".png", ".svg", ".pdf"))
+    check_output(output, (".png", ".svg", ".pdf"))
     data = _samples(file)
     title, predicted, lobes = file.name, None, None
     if which is not None:
@@ -181,25 +183,18 @@ def convert(
     """Convert between files of BRDFs; of a fit the model is written, which has no holes."""
     from livlab.brdf.files.formats import convert as converted
 
-    _writable(target, written_suffixes())
+    check_output(target, written_suffixes())
     if holes not in HOLES:
         raise InputError.of("--holes", holes, "must be refuse, fill or zero", "Choose one.")
     converted(source, target, holes=holes)  # type: ignore[arg-type]
     typer.echo(f"Written to {target}")
 
 
-def _writable(path: Path, suffixes: tuple[str, ...]) -> None:
-    if path.suffix.lower() not in suffixes:
-        raise InputError.of("output", path.name, f"must end in one of {', '.join(suffixes)}", "Choose by suffix.")
-    folder = path.resolve().parent
-    if not folder.is_dir():
-        raise InputError.of("output", str(path), "lies in no folder that there is", missing_folder(folder))
-
-
 def _loss(name: str) -> LossName:
-    known = ("cosine-weighted-l2", "log", "cube-root", "chi2")
-    if name not in known:
-        raise InputError.of("--loss", name, f"must be one of {', '.join(known)}", "Choose one.")
+    from livlab.brdf.fit.loss import LOSSES
+
+    if name not in LOSSES:
+        raise InputError.of("--loss", name, f"must be one of {', '.join(LOSSES)}", "Choose one.")
     return name  # type: ignore[return-value]
 
 
@@ -208,14 +203,6 @@ def _samples(path: Path) -> xr.Dataset:
     from livlab.brdf.table import as_samples
 
     return as_samples(read_brdf(path))
-
-
-def _console(*, stderr: bool = False) -> Console:
-    from rich.console import Console
-
-    # Into a pipe or file a table must not be folded at 80 characters.
-    tty = (sys.stderr if stderr else sys.stdout).isatty()
-    return Console(stderr=stderr, width=None if tty else 160)
 
 
 def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) -> None:
@@ -321,7 +308,7 @@ def _show_table(table: pd.DataFrame, title: str, *, as_json: bool) -> None:
         shown.add_column(escape(str(name)), justify="left" if k == 0 else "right")
     for row in table.itertuples(index=False):
         shown.add_row(*(f"{x:.5g}" if isinstance(x, float) else escape(str(x)) for x in row))
-    _console().print(shown)
+    table_console(WIDTH).print(shown)
 
 
 def _budget(rig: PhotographedRig, samples: xr.Dataset, which: str, loss: str) -> ErrorBudget:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from livlab.cli.console import table_console
 from livlab.errors import DatasetError, InputError, Interrupted
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from livlab.datasets import DatasetMeta
     from livlab.datasets.draft import Draft
 
 app = typer.Typer(help="Datasets: list, show, check, plot, add, licences.", no_args_is_help=True)
+
+WIDTH = 220
+"""Of tables that are not printed on a screen."""
 
 _T = TypeVar("_T")
 _KINDS_MEAN = " (tabulated: numbers as measured or published; digitised: read off a figure; fit; assumed)"
@@ -36,7 +37,7 @@ def list_(search: Search = None) -> None:
 
     from livlab import datasets
 
-    console = _console()
+    console = table_console(WIDTH)
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "kind", "range, nm", "rows", "from"):
         table.add_column(heading, no_wrap=True)
@@ -81,7 +82,7 @@ def show(
     from livlab.datasets import load
 
     dataset = load(name, search=search or ())
-    meta, console = dataset.meta, _console()
+    meta, console = dataset.meta, table_console(WIDTH)
     covers = f"{dataset.range_nm[0]:g} to {dataset.range_nm[1]:g} nm" if dataset.is_spectrum else ""
     relative = "" if meta.uncertainty.relative is None else f" (relative {meta.uncertainty.relative:g})"
     facts = {
@@ -130,7 +131,7 @@ def check(
 
     folders = search or ()
     results = [datasets.check(name, search=folders)] if name else datasets.check_all(search=folders)
-    console = _console()
+    console = table_console(WIDTH)
     for result in results:
         verdict = "[green]ok[/]     " if result.ok else "[red]damaged[/]"
         console.print(f"{verdict} {result.name}", highlight=False)
@@ -242,13 +243,6 @@ def _asked(
     if not yes and not typer.confirm(f"Add it as {name}?", default=True):
         raise typer.Abort
     return draft, about
-
-
-def _console() -> Console:
-    from rich.console import Console
-
-    # Into a pipe or file a table must not be folded at 80 characters.
-    return Console(width=None if sys.stdout.isatty() else 220)
 
 
 def _known(name: str, before: DatasetMeta | None) -> dict[str, str]:

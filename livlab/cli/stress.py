@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -13,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from livlab.core.files import missing_folder
-from livlab.errors import InputError
+from livlab.cli.console import check_output, table_console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,12 +43,10 @@ def stress(
     from livlab.stress.run import run, write_csv
 
     chosen = select(only, slow=slow)
-    if output is not None and not output.resolve().parent.is_dir():
-        remedy = missing_folder(output.resolve().parent)
-        raise InputError.of("output", str(output), "lies in no folder that there is", remedy)
+    if output is not None:
+        check_output(output)
     started = time.perf_counter()
-    # Into a pipe or file a table must not be folded at 80 characters.
-    console = Console(width=None if sys.stdout.isatty() else 180)
+    console = table_console(180)
     follow = Console(stderr=True)
 
     def tell(case: Case, lines: Sequence[Line]) -> None:

@@ -6,7 +6,7 @@ import xarray as xr
 
 from livlab.brdf.angles import direction, from_half_angles
 from livlab.brdf.files.formats import read_brdf, write_brdf
-from livlab.brdf.files.mitsuba import MeasuredMaterial, read_mitsuba, write_mitsuba
+from livlab.brdf.files.mitsuba import MitsubaMaterial, read_mitsuba, write_mitsuba
 from livlab.brdf.files.tensor import read_tensors, write_tensors
 from livlab.brdf.files.warp import Warp
 from livlab.brdf.geometry import Camera, Light, Sphere
@@ -264,4 +264,4 @@ def test_what_is_refused(tmp_path):
         with pytest.raises(InputError, match=match):
             write_mitsuba(path, brdf, **{"size": 8, "theta_count": 4} | options)
     assert path.read_bytes() == content and len(list(tmp_path.iterdir())) == 1
-    assert isinstance(read_mitsuba(path), MeasuredMaterial)
+    assert isinstance(read_mitsuba(path), MitsubaMaterial)

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from fuzz.seeds import user_meta
 from livlab import datasets
 from livlab.cli import app
 from livlab.config import parse_experiment
@@ -41,26 +42,6 @@ against = "my liver"
 reference = 0.0
 tolerance = 0.5
 """
-META = """\
-format = 1
-name = "my_liver"
-version = "{version}"
-title = "A liver of mine"
-source = "measured here"
-kind = "tabulated"
-range_nm = [450.0, 750.0]
-licence = "mine"
-read_in = "a test"
-sha256 = "{sha256}"
-[uncertainty]
-text = "unknown"
-[columns.wavelength_nm]
-unit = "nm"
-description = "wavelength"
-[columns.reflectance]
-unit = "1"
-description = "reflectance"
-"""
 
 
 def write_dataset(root: Path, last: float, version: str = "1") -> None:
@@ -68,8 +49,7 @@ def write_dataset(root: Path, last: float, version: str = "1") -> None:
     folder.mkdir(parents=True, exist_ok=True)
     table = f"wavelength_nm,reflectance\n450,0.1\n600,0.2\n750,{last}\n"
     (folder / "table.csv").write_text(table)
-    sha256 = hashlib.sha256(table.encode()).hexdigest()
-    (folder / "meta.toml").write_text(META.format(version=version, sha256=sha256))
+    (folder / "meta.toml").write_text(user_meta(table.encode(), version=version))
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import signal
@@ -13,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from fuzz.seeds import user_meta
 
 CONFIG = """\
 schema = 1
@@ -33,26 +34,6 @@ reference = 1.0
 tolerance = 2.0
 """
 TABLE = "wavelength_nm,reflectance\n" + "".join(f"{x},{0.1 + (x - 450) / 1000}\n" for x in range(450, 801, 50))
-META = """\
-format = 1
-name = "my_liver"
-version = "1"
-title = "A liver of mine"
-source = "measured here"
-kind = "tabulated"
-range_nm = [450.0, 800.0]
-licence = "mine"
-read_in = "a test"
-sha256 = "{sha256}"
-[uncertainty]
-text = "unknown"
-[columns.wavelength_nm]
-unit = "nm"
-description = "wavelength"
-[columns.reflectance]
-unit = "1"
-description = "reflectance"
-"""
 MAIN = "import sys; from livlab.cli import main; sys.argv[0] = 'livlab'; main()"
 
 
@@ -67,8 +48,7 @@ def dataset(place: Path, table: str, *, hashed: str | None = None) -> None:
     folder = place / "data" / "my_liver"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "table.csv").write_text(table)
-    digest = hashlib.sha256((table if hashed is None else hashed).encode()).hexdigest()
-    (folder / "meta.toml").write_text(META.replace("{sha256}", digest))
+    (folder / "meta.toml").write_text(user_meta((table if hashed is None else hashed).encode(), longest_nm=800.0))
 
 
 def environment(place: Path) -> dict[str, str]:

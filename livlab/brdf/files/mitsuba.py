@@ -135,7 +135,7 @@ def _slice(evaluate: Evaluate, theta: float, size: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredMaterial:
+class MitsubaMaterial:
     """A `.bsdf` file that was read: `evaluate` gives its BRDF.
 
     Attributes
@@ -192,7 +192,7 @@ class MeasuredMaterial:
         return np.where(above[:, None], value / np.where(above, light[:, 2], 1.0)[:, None], 0.0)
 
 
-def read_mitsuba(path: Path) -> MeasuredMaterial:
+def read_mitsuba(path: Path) -> MitsubaMaterial:
     """Read an isotropic `.bsdf` file, RGB or spectral.
 
     Raises
@@ -233,7 +233,7 @@ def read_mitsuba(path: Path) -> MeasuredMaterial:
         raise DatasetError.of(
             path.name, "its tables", "must be finite, at least 2 x 2, over rising angles", "Fetch or write it again."
         )
-    return MeasuredMaterial(fields, list(channels), path.name)
+    return MitsubaMaterial(fields, list(channels), path.name)
 
 
 def _elevation(w: FloatArray) -> FloatArray:
