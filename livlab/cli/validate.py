@@ -50,11 +50,9 @@ def validate(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the site's path, and what fails.")] = False,
 ) -> None:
     """Run or reuse every experiment and build the dossier: every claim, and the thesis's figures beside ours."""
-    from livlab.cli.apart import runner
     from livlab.dossier.baseline import compare, load_baseline, told, updated, write_baseline
     from livlab.dossier.config import builtin_dossier, load_dossier
     from livlab.dossier.validate import planned, record
-    from livlab.dossier.validate import validate as work
 
     file = dossier or builtin_dossier()
     config = load_dossier(file)
@@ -68,23 +66,10 @@ def validate(
 
         open_scheduler(scheduler)  # a slip is told before anything runs
     experiments = planned(config, file, chosen)
-    console = Console(stderr=True, soft_wrap=True)
-
-    def say(text: str) -> None:
-        if not quiet:
-            console.print(text, highlight=False, markup=False)
-
-    again = f"livlab validate --out {out} --runs {runs}"
     try:
-        ended = work(
-            experiments,
-            runner(runs, scheduler=scheduler, quiet=quiet),
-            runs,
-            only=chosen,
-            expected=dict(held.seconds),
-            say=say,
-        )
+        ended = _run_all(experiments, runs, only=chosen, expected=dict(held.seconds), scheduler=scheduler, quiet=quiet)
     except (KeyboardInterrupt, Interrupted):
+        again = f"livlab validate --out {out} --runs {runs}"
         raise Interrupted("Stopped; what is done is kept.", remedy=f"To go on: {again}") from None
     if update_baseline:
         taken = {n: _seconds(e) for n, e in ended.items() if e.folder is not None}
@@ -97,6 +82,35 @@ def validate(
     typer.echo(page)
     if check and lost:
         raise typer.Exit(1)
+
+
+def _run_all(
+    experiments: list[Planned],
+    runs: Path,
+    *,
+    only: tuple[str, ...],
+    expected: dict[str, float],
+    scheduler: str,
+    quiet: bool,
+) -> dict[str, Ended]:
+    """Run or reuse every experiment, each in a process of its own."""
+    from livlab.cli.apart import runner
+    from livlab.dossier.validate import validate as work
+
+    console = Console(stderr=True, soft_wrap=True)
+
+    def say(text: str) -> None:
+        if not quiet:
+            console.print(text, highlight=False, markup=False)
+
+    return work(
+        experiments,
+        runner(runs, scheduler=scheduler, quiet=quiet),
+        runs,
+        only=only,
+        expected=expected,
+        say=say,
+    )
 
 
 def _seconds(e: Ended) -> float:

@@ -59,14 +59,14 @@ class SiteEntry:
 
     name: str
     title: str
-    description: str
-    group: str
-    kind: str
-    state: str
-    reason: str
-    run: RunData | None
-    rows: tuple[Mapping[str, str], ...]
-    seconds: float
+    description: str = ""
+    group: str = ""
+    kind: str = ""
+    state: str = ""
+    reason: str = ""
+    run: RunData | None = None
+    rows: tuple[Mapping[str, str], ...] = ()
+    seconds: float = 0.0
 
     @property
     def report(self) -> str:
@@ -101,7 +101,7 @@ class Site:
         for e in self.entries:
             if e.name == name:
                 return e
-        return SiteEntry(name, name, "", "", "", "failed", "there is no such experiment", None, (), 0.0)
+        return SiteEntry(name, name, state="failed", reason="there is no such experiment")
 
 
 def read_site(out: Path) -> Site:
@@ -140,16 +140,16 @@ def _entry(out: Path, row: Mapping[str, Any], held: tuple[str, ...]) -> SiteEntr
     else:
         rows = claim_rows(run.claims, dict(run.manifest.get("claim_notes", {})))
     return SiteEntry(
-        str(row["name"]),
-        str(row["title"] or row["name"]),
-        str(row["description"]).strip(),
-        str(row["group"]),
-        str(row["kind"]),
-        state,
-        reason,
-        run,
-        rows,
-        float(run.manifest.get("seconds") or 0.0) if run is not None else float(row["seconds"]),
+        name=str(row["name"]),
+        title=str(row["title"] or row["name"]),
+        description=str(row["description"]).strip(),
+        group=str(row["group"]),
+        kind=str(row["kind"]),
+        state=state,
+        reason=reason,
+        run=run,
+        rows=rows,
+        seconds=float(run.manifest.get("seconds") or 0.0) if run is not None else float(row["seconds"]),
     )
 
 

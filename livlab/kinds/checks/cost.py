@@ -336,19 +336,19 @@ def _rows(tried: list[_Tried], reference: _Tried) -> list[CostRow]:
         )
         rows.append(
             CostRow(
-                t.solver,
-                t.samples,
-                t.seconds,
-                t.compile_seconds,
-                measured[k],
-                stated[k],
-                trusted[k],
-                t.valid,
-                len(t.values),
-                not beaten,
-                reference.solver,
-                own,
-                t.notes,
+                solver=t.solver,
+                samples=t.samples,
+                seconds=t.seconds,
+                compile_seconds=t.compile_seconds,
+                error=measured[k],
+                stated=stated[k],
+                trusted=trusted[k],
+                valid=t.valid,
+                repeats=len(t.values),
+                pareto=not beaten,
+                reference=reference.solver,
+                reference_error=own,
+                notes=t.notes,
             )
         )
     return rows

@@ -7,11 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from livlab import datasets
 from livlab.kinds.optics.config import OpticsExperiment
-from livlab.kinds.shared.tissue_tables import Made, Rows
-
-PROVENANCE = ("name", "used_for", "source", "doi", "kind", "uncertainty", "licence", "sha256")
+from livlab.kinds.shared.tissue_tables import Made, Rows, sources
 
 
 def efficiencies(data: xr.Dataset) -> Made:
@@ -82,12 +79,7 @@ def provenance(config: OpticsExperiment) -> Made:
     uses: dict[str, list[str]] = {}
     for c in config.chromophore:
         uses.setdefault(c.dataset, []).append(c.label)
-    out: Rows = []
-    for name, labels in sorted(uses.items()):
-        meta = datasets.load(name).meta
-        row = (name, "; ".join(labels), meta.source, meta.doi, meta.kind, meta.uncertainty.text, meta.licence)
-        out.append(dict(zip(PROVENANCE, (*row, meta.sha256), strict=True)))
-    return PROVENANCE, out
+    return sources(uses)
 
 
 def _each(data: xr.Dataset) -> list[tuple[tuple[str, float], Any]]:

@@ -116,16 +116,16 @@ def _entry(run: RunData, out: Path, name: str) -> GalleryEntry:
     counts = Counter(str(v) for v in run.claims["verdict"]) if len(run.claims) else Counter[str]()
     report = run.path / "report.html"
     return GalleryEntry(
-        name,
-        str(run.config.get("title") or name),
-        str(run.config.get("description", "")).strip(),
-        light_words(run),
-        tuple(_copied(run, r, out, name) for r in rows if r["route"] == first),
-        tuple(_copied(run, r, out, name) for r in rows if r["route"] != first),
-        tuple(_copied(run, r, out, name) for r in shown_pictures(run, baselines=True) if r["route"] == first),
-        tuple((v, counts[v]) for v in ICONS if counts[v]),
-        tuple(findings(run)),
-        Path(os.path.relpath(report, out)).as_posix() if report.is_file() else "",
+        id=name,
+        title=str(run.config.get("title") or name),
+        description=str(run.config.get("description", "")).strip(),
+        light=light_words(run),
+        pictures=tuple(_copied(run, r, out, name) for r in rows if r["route"] == first),
+        other_routes=tuple(_copied(run, r, out, name) for r in rows if r["route"] != first),
+        baselines=tuple(_copied(run, r, out, name) for r in shown_pictures(run, baselines=True) if r["route"] == first),
+        verdicts=tuple((v, counts[v]) for v in ICONS if counts[v]),
+        findings=tuple(findings(run)),
+        report=Path(os.path.relpath(report, out)).as_posix() if report.is_file() else "",
     )
 
 

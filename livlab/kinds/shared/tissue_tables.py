@@ -62,6 +62,11 @@ def provenance(found: Tissue, under: Iterable[Reading], wavelength_nm: FloatArra
     for reference in references:
         if reference.dataset is not None:
             add([reference.spec.dataset], f"reference: {reference.spec.label}")
+    return sources(uses)
+
+
+def sources(uses: dict[str, list[str]]) -> Made:
+    """A row a dataset: where it is from, and what it was used for (`uses`: purposes by dataset)."""
     out: Rows = []
     for name, purposes in sorted(uses.items()):
         meta = datasets.load(name).meta

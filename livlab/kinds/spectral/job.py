@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,18 @@ SAVE_EVERY_SECONDS = 5.0
 _BUDGET = ("specular", "transmittance", "lost", "redirect_loss", "residual")
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """A spectral experiment made ready: the tissue under each reading, what its scene calls for, its references."""
+
+    config: SpectralExperiment
+    tissue: Tissue
+    stacks: dict[str, OpticalStack]
+    plans: dict[str, Plan]
+    references: list[Known]
+    costs: list[dict[str, object]]
+
+
 def prepare(config: SpectralExperiment) -> Callable[[Run], None]:
     """Everything that can go wrong before light is followed: datasets, ranges, the tissue under each reading.
 
@@ -63,8 +76,8 @@ def prepare(config: SpectralExperiment) -> Callable[[Run], None]:
         started = time.perf_counter()
         stacks[reading.name] = optical_stack(tissue, reading, grid)
         costs.append({"stage": "tissue", "reading": reading.name, "seconds": time.perf_counter() - started})
-    plans = _plans(config, tissue, stacks, costs)
-    return lambda run: _work(run, config, tissue, stacks, plans, references, costs)
+    made = Prepared(config, tissue, stacks, _plans(config, tissue, stacks, costs), references, costs)
+    return lambda run: _work(run, made)
 
 
 def _plans(
@@ -93,15 +106,8 @@ def _plans(
     return made
 
 
-def _work(
-    run: Run,
-    config: SpectralExperiment,
-    tissue: Tissue,
-    stacks: dict[str, OpticalStack],
-    plans: dict[str, Plan],
-    references: list[Known],
-    costs: list[dict[str, object]],
-) -> None:
+def _work(run: Run, made: Prepared) -> None:
+    config, stacks, plans, costs = made.config, made.stacks, made.plans, made.costs
     if config.solver.sampled:
         name_device(run.info, config.variant)
     run.progress.begin(list(stacks))
@@ -140,18 +146,18 @@ def _work(
     run.info["solvers"] = {name: str(piece.attrs["rung"]) for name, piece in pieces.items()}
     _note(run, pieces)
     started = time.perf_counter()
-    claims, metrics = judge(config, pieces, references)
+    claims, metrics = judge(config, pieces, made.references)
     costs.append({"stage": "claims", "reading": None, "seconds": time.perf_counter() - started})
     if plans:
         from livlab.effects.plan import COLUMNS
 
-        rows = [{"reading": name, **row} for name, made in plans.items() for row in made.records()]
+        rows = [{"reading": name, **row} for name, plan in plans.items() for row in plan.records()]
         run.write_table("plan.csv", ("reading", *COLUMNS), rows)
     if config.bench is not None:
         started = time.perf_counter()
         run.write("bench.json", json.dumps(bench_of(config, config.bench), separators=(",", ":"), allow_nan=False))
         costs.append({"stage": "bench", "reading": config.bench, "seconds": time.perf_counter() - started})
-    _write(run, config, tissue, stacks, pieces, references, claims, metrics, costs)
+    _write(run, made, pieces, claims, metrics)
 
 
 def bench_of(
@@ -237,18 +243,14 @@ def _note(run: Run, pieces: dict[str, xr.Dataset]) -> None:
 
 def _write(
     run: Run,
-    config: SpectralExperiment,
-    tissue: Tissue,
-    stacks: dict[str, OpticalStack],
+    made: Prepared,
     pieces: dict[str, xr.Dataset],
-    references: list[Known],
     claims: list[Claim],
     metrics: list[dict[str, object]],
-    costs: list[dict[str, object]],
 ) -> None:
-    readings = config.all_readings
-    coefficients = _stacked({name: stack_coefficients(stack) for name, stack in stacks.items()})
-    result = _result(config, pieces, references)
+    config, tissue, readings = made.config, made.tissue, made.config.all_readings
+    coefficients = _stacked({name: stack_coefficients(stack) for name, stack in made.stacks.items()})
+    result = _result(config, pieces, made.references)
     run.write_result({"/": result, "coefficients": coefficients})
     written: dict[str, Table] = {
         "spectra.csv": tables.spectra(pieces),
@@ -257,11 +259,11 @@ def _write(
         "budget.csv": tables.budget(pieces),
         "tissue.csv": tissue_tables.tissue(tissue, readings),
         "readings.csv": tissue_tables.readings(readings, tissue),
-        "provenance.csv": tissue_tables.provenance(tissue, readings, config.wavelengths.grid(), references),
+        "provenance.csv": tissue_tables.provenance(tissue, readings, config.wavelengths.grid(), made.references),
         "metrics.csv": (tables.METRICS, metrics),
         "convergence.csv": tables.convergence(pieces),
     }
-    run.finish(claims, written, (tissue_tables.COSTS, costs))
+    run.finish(claims, written, (tissue_tables.COSTS, made.costs))
 
 
 def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], references: list[Known]) -> xr.Dataset:
