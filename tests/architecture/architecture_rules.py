@@ -4,32 +4,10 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-# Imports run downwards: a module may import what has its own rank or a lower one. The longest matching name counts.
-RANKS = {
-    "livlab": 0,
-    "livlab.errors": 0,
-    "livlab.core": 0,
-    "livlab.config.errors": 0,
-    "livlab.units": 0,
-    "livlab.datasets": 1,
-    "livlab.metrics": 1,
-    "livlab.criteria": 1,
-    "livlab.machine.gpu": 1,
-    "livlab.machine.llvm": 1,
-    "livlab.optimise": 1,
-    "livlab.machine.llvm_probe": 1,
-    "livlab.model": 2,
-    "livlab.model.tissue": 2,
-    "livlab.model.transport": 3,
-    "livlab.model.tracer": 4,
-    "livlab.effects": 5,  # a scene has an instrument
-    "livlab.api": 6,  # beside the command line, for notebooks
-    "livlab.cli": 6,
-}
-RANK_OF_THE_REST = 5  # study, reports, acquire, brdf, configuration, runs, doctor
+import house
 
 # Who may import a foreign engine.
 DOORS = {
@@ -43,29 +21,24 @@ DOORS = {
     "shelve": (),
 }
 
-# What a package may not know although its rank would allow it.
+# What a part of the house may not know although it lies on a lower floor.
+SIMULATION = ("livlab.model", "livlab.acquire", "livlab.brdf", "livlab.effects", "livlab.fitting", "livlab.jobs")
+REPORTS = re.compile(r"livlab[.](reports|kinds[.]\w+[.]report\w*)")
+"""Reports read run folders, those of a kind of experiment too, and never simulate."""
 BLIND = {
-    "livlab.reports": (
-        "livlab.model",
-        "livlab.acquire",
-        "livlab.brdf",
-        "livlab.fitting",
-        "livlab.jobs",
-        "livlab.config",
-    ),
-    "livlab.brdf": (
-        "livlab.model.tracer",
-        "livlab.model.transport",
-        "livlab.acquire",
-        "livlab.reports",
-        "livlab.kinds",
-    ),
-    "livlab.api": ("livlab.cli",),
-    "livlab.cli": ("livlab.api",),
+    REPORTS: (*SIMULATION, "livlab.config", "livlab.optimise", "livlab.stress"),
+    re.compile(r"livlab[.]api"): ("livlab.cli",),
+    re.compile(r"livlab[.]cli"): ("livlab.api",),
 }
 
-# What a person imports: their names come from above when they are asked for, and are named for type checkers only.
-FACES = ("livlab", "livlab.brdf")
+INSTRUMENTS = "livlab.acquire.instruments"
+ELEMENTS = "livlab.model.tissue.elements"
+OWN_BEHAVIOUR = {INSTRUMENTS: INSTRUMENTS, ELEMENTS: "livlab.model.tissue"}
+"""Where classes are told by what they do, and the package outside which nobody may ask which of them one is."""
+
+LOOSE_MODULES = 6
+MOST_LINES_OF_A_FUNCTION = 60
+MOST_POSITIONAL = 8
 
 HEAVY = (
     "drjit",
@@ -103,70 +76,28 @@ REGISTRY_HOSTS = re.compile(
 BINARY = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".nc", ".npz", ".woff2", ".gz", ".zip", ".pdf"}
 
 
-def module_name(file: Path, root: Path) -> str:
-    """Dotted name of a module below `root`."""
-    parts = file.relative_to(root).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
 def within(name: str, package: str) -> bool:
     """Whether a dotted name is the package or lies in it."""
     return name == package or name.startswith(package + ".")
 
 
-def rank(name: str) -> int:
-    """Height of a module in the house."""
-    parts = name.split(".")
-    for length in range(len(parts), 1, -1):
-        prefix = ".".join(parts[:length])
-        if prefix in RANKS:
-            return RANKS[prefix]
-    return RANKS["livlab"] if name == "livlab" else RANK_OF_THE_REST
-
-
-def modules(root: Path) -> dict[str, Path]:
-    """All modules of the package below `root`."""
-    return {module_name(file, root): file for file in sorted((root / "livlab").rglob("*.py"))}
-
-
-def imports(name: str, file: Path, known: dict[str, Path]) -> Iterator[tuple[int, str]]:
-    """Line and full name of everything a module imports, inside functions too; of a face, what it loads at once."""
-    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    named = {id(node) for block in tree.body if name in FACES and _for_types(block) for node in ast.walk(block)}
-    for node in ast.walk(tree):
-        if id(node) in named:
-            continue
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield node.lineno, alias.name
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                above = package.split(".")[: len(package.split(".")) - node.level + 1]
-                base = ".".join([*above, base] if base else above)
-            for alias in node.names:
-                full = f"{base}.{alias.name}"
-                yield node.lineno, full if full in known or (base == "livlab" and alias.name != "__version__") else base
-
-
-def _for_types(block: ast.stmt) -> bool:
-    return isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
+def floor(room: str) -> int | None:
+    """On which floor a room lies; None if on none."""
+    return next((number for number, rooms in enumerate(house.FLOORS) if room in rooms), None)
 
 
 def import_violations(root: Path) -> list[str]:
-    """Imports that run upwards, around a door, or into what a package should not know."""
-    known = modules(root)
+    """Imports that do not run downwards, go around a door, or into what a part should not know."""
+    known = house.modules(root)
     found = []
     for name, file in known.items():
-        for line, target in imports(name, file, known):
+        for line, target in _imports(name, file, known):
             where = f"{file.relative_to(root)}:{line}"
             if within(target, "livlab"):
-                if rank(target) > rank(name):
-                    found.append(f"{where}: {name} imports {target}, which lies above it")
-                for package, unknown in BLIND.items():
-                    if within(name, package) and any(within(target, other) for other in unknown):
-                        found.append(f"{where}: {package} should not know {target}")
+                found += [f"{where}: {trouble}" for trouble in _upward(name, target)]
+                for part, unknown in BLIND.items():
+                    if part.match(name) and any(within(target, other) for other in unknown):
+                        found.append(f"{where}: {name} should not know {target}")
             else:
                 engine = target.partition(".")[0]
                 if engine in DOORS and not any(within(name, door) for door in DOORS[engine]):
@@ -174,10 +105,131 @@ def import_violations(root: Path) -> list[str]:
     return found
 
 
+def _imports(name: str, file: Path, known: Mapping[str, Path]) -> Iterator[tuple[int, str]]:
+    """What a module imports; of a face, what it loads at once or in a function, but not what it names for types."""
+    named = set()
+    if name in house.FACES:
+        blocks = [block for block in ast.parse(file.read_text(encoding="utf-8")).body if _for_types(block)]
+        named = {node.lineno for block in blocks for node in ast.walk(block) if isinstance(node, ast.stmt)}
+    return ((line, target) for line, target in house.imports(name, file, known) if line not in named)
+
+
+def _upward(name: str, target: str) -> list[str]:
+    here, there = house.room(name), house.room(target)
+    if here == there or not there:  # its own room; halls and the package itself hold no code
+        return [f"{name} imports {target}, which lies above it"] if not there and here else []
+    for room in (here, there):
+        if room and floor(room) is None:
+            return [f"{room} has no floor: give it one in scripts/house.py"]
+    below = -1 if not here else floor(here)
+    if not here:  # the face of the whole: the ground floors only, everything else when it is asked for
+        return [] if floor(there) <= 1 else [f"{name} imports {target}, which lies above it"]
+    return [] if floor(there) < below else [f"{name} imports {target}, which lies beside or above it"]
+
+
+def _for_types(block: ast.stmt) -> bool:
+    return isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
+
+
+def plan_violations(root: Path) -> list[str]:
+    """Rooms without a floor, floors without a room, too many modules loose at the top."""
+    known = house.modules(root)
+    rooms = {house.room(name) for name in known} - {""}
+    planned = {room for rooms_of_floor in house.FLOORS for room in rooms_of_floor}
+    found = [f"{room} has no floor: give it one in scripts/house.py" for room in sorted(rooms - planned)]
+    found += [f"{room} has a floor in scripts/house.py, and is not there" for room in sorted(planned - rooms)]
+    loose = [name for name, file in known.items() if file.parent == root / "livlab"]
+    if len(loose) > LOOSE_MODULES:
+        found.append(f"{len(loose)} modules lie loose at the top, more than {LOOSE_MODULES}: {', '.join(loose)}")
+    return found
+
+
+def names_twice(root: Path) -> list[str]:
+    """Public classes of one name in two places."""
+    places: dict[str, list[str]] = {}
+    for file in house.modules(root).values():
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(f"{file.relative_to(root)}:{node.lineno}")
+    return [f"class {name} is defined {len(x)} times: {', '.join(x)}" for name, x in places.items() if len(x) > 1]
+
+
+def kind_questions(root: Path) -> list[str]:
+    """Places outside an owner's package that ask which instrument or which element one is."""
+    known = house.modules(root)
+    found = []
+    for owned, home in OWN_BEHAVIOUR.items():
+        classes = {
+            node.name
+            for name, file in known.items()
+            if within(name, owned)
+            for node in ast.parse(file.read_text(encoding="utf-8")).body
+            if isinstance(node, ast.ClassDef)
+        }
+        for name, file in known.items():
+            if not within(name, home):
+                asked = _asked(ast.parse(file.read_text(encoding="utf-8")), classes)
+                found += [f"{file.relative_to(root)}:{line}: asks whether one is {what}" for line, what in asked]
+    return found
+
+
+def _asked(tree: ast.AST, classes: set[str]) -> Iterator[tuple[int, str]]:
+    for node in ast.walk(tree):
+        named: list[ast.AST] = []
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") in {"isinstance", "issubclass"}:
+            named = node.args[1:]
+        elif isinstance(node, ast.MatchClass):
+            named = [node.cls]
+        elif isinstance(node, ast.Compare) and _is_type(node.left):
+            named = list(node.comparators)
+        for part in named:
+            for one in ast.walk(part):
+                what = one.id if isinstance(one, ast.Name) else one.attr if isinstance(one, ast.Attribute) else ""
+                if what in classes:
+                    yield node.lineno, what
+
+
+def _is_type(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and getattr(node.func, "id", "") == "type"
+
+
+def long_functions(root: Path) -> list[str]:
+    """Functions past the length where a seam should be found, their documentation not counted."""
+    found = []
+    for file in house.modules(root).values():
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                said = node.body[0].end_lineno - node.body[0].lineno + 1 if ast.get_docstring(node) else 0
+                lines = node.end_lineno - node.lineno + 1 - said
+                if lines > MOST_LINES_OF_A_FUNCTION:
+                    found.append(f"{file.relative_to(root)}:{node.lineno}: {node.name} has {lines} lines")
+    return found
+
+
+def long_records(root: Path) -> list[str]:
+    """Calls and answers of more values than a reader can tell apart by their place."""
+    found = []
+    for file in house.modules(root).values():
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            count = len(node.args) if isinstance(node, ast.Call) and not _foreign(node.func) else 0
+            if isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple):
+                count = len(node.value.elts)
+            if count > MOST_POSITIONAL:
+                found.append(f"{file.relative_to(root)}:{node.lineno}: {count} values told apart by their place")
+    return found
+
+
+def _foreign(function: ast.expr) -> bool:
+    """Whether a call is of another library, by its usual short name: it may take no keywords."""
+    while isinstance(function, ast.Attribute):
+        function = function.value
+    return isinstance(function, ast.Name) and function.id in {"cv2", "np", "dr", "mi", "plt"}
+
+
 def code_from_data_violations(root: Path) -> list[str]:
     """Calls of eval and exec: a config or a data file is never code."""
     found = []
-    for file in modules(root).values():
+    for file in house.modules(root).values():
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in {"eval", "exec"}:
                 found += [f"{file.relative_to(root)}:{node.lineno}: calls {node.func.id}"]
@@ -186,7 +238,7 @@ def code_from_data_violations(root: Path) -> list[str]:
 
 def long_modules(root: Path) -> list[str]:
     """Modules past the length where a seam should be found."""
-    counts = {file: len(file.read_text(encoding="utf-8").splitlines()) for file in modules(root).values()}
+    counts = {file: len(file.read_text(encoding="utf-8").splitlines()) for file in house.modules(root).values()}
     return [f"{file.relative_to(root)}: {count} lines" for file, count in counts.items() if count > MAX_LINES]
 
 
