@@ -17,7 +17,7 @@ MAX_NODES = 250_000_000
 
 _PAD = 2  # nodes outside the mesh on each side
 _QUERY_NODES = 1_000_000
-_VERSION = 1
+_VERSION = 2  # 2: where a mesh has needles, lengths are no longer scaled by the winding number
 
 
 @dataclass(frozen=True, eq=False)

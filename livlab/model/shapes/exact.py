@@ -21,7 +21,8 @@ def signed_distance(mesh: TriangleMesh, points_mm: ArrayLike) -> FloatArray:
     """Signed distance in mm of points (n, 3) to a closed mesh, positive inside.
 
     The sign is the pseudonormal's (Bærentzen & Aanæs 2005); on a mesh with needles, as cutting leaves them, that is
-    noise, and the sign is that of the fast winding number (Barill et al. 2018), at twice the time.
+    noise, and the sign is that of the fast winding number w (Barill et al. 2018), at twice the time: inside where
+    w > 1/2. The length is that of the way to the nearest point, always; libigl 2.6 itself scales it by 1 − 2w.
     """
     return _signed(mesh, _points(points_mm))[0]
 
@@ -88,10 +89,11 @@ def split_vertices(mesh: TriangleMesh) -> NDArray[np.int64]:
 def _signed(mesh: TriangleMesh, points: FloatArray) -> tuple[FloatArray, Pairs, FloatArray]:
     if len(points) == 0:
         return np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     if float(mesh.face_heights.min()) < _NEEDLE * float(mesh.extent.max()):
-        sign = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
-    found = igl.signed_distance(points, mesh.vertices, _faces(mesh), sign)
+        distance, faces, places = nearest(mesh, points)
+        inside = np.asarray(igl.fast_winding_number(mesh.vertices, _faces(mesh), points)) > 0.5
+        return np.where(inside, distance, -distance), faces, places
+    found = igl.signed_distance(points, mesh.vertices, _faces(mesh), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
     return -np.asarray(found[0], dtype=np.float64), np.asarray(found[1]), np.asarray(found[2])
 
 
