@@ -4,6 +4,7 @@ They are added to a copy of the package, so that nothing of the house is touched
 """
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -168,6 +169,12 @@ ROWS = [
         "from livlab.acquire.instruments.toy import Toy\n",
     ),
     (
+        "livlab/brdf/models/lobes.py",
+        '        Lobe("lambert", "Lambert 1760", (KD,), _lambert, "kd", f"matt surfaces; {UPPER}"),\n',
+        '        Lobe("toy", "nobody", (KD,), _lambert, "kd", "a toy"),\n',
+        "",
+    ),
+    (
         "livlab/model/tissue/elements/__init__.py",
         "    PublishedScatterer,\n",
         "    Toy,\n",
@@ -182,6 +189,7 @@ USE = """
     import numpy as np
 
     import livlab
+    from livlab.brdf.samples import sample_dataset
     from livlab.model.tissue.optics import coefficients
     from livlab.model.tissue.readings import reading
 
@@ -205,6 +213,11 @@ USE = """
         ).value.tolist()
         for side in (1.0, "infinite")
     ]
+
+    # The lobe: fitted to what it is.
+    up = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
+    samples = sample_dataset(up, up[::-1].copy(), np.full((3, 1), 0.25))
+    told["lobe"] = livlab.brdf.fit_model(samples, "toy", bootstrap=None).values
     print(json.dumps(told))
 """
 
@@ -254,3 +267,7 @@ def test_an_element_adds_what_it_says(told):
 def test_an_instrument_of_finite_size_loses_light_at_its_sides(told):
     finite, endless = told["sides"]
     assert all(0.0 < one < 0.9 * other for one, other in zip(finite, endless, strict=True))
+
+
+def test_a_lobe_is_fitted(told):
+    assert list(told["lobe"].values()) == [pytest.approx(0.25 * math.pi)]
