@@ -151,6 +151,22 @@ FILES = {
                 """Ten per centimetre are one per millimetre."""
                 return (ReferenceValue("unit", {"strength_per_cm": 10.0}, 1.0, 0.0),)
         ''',
+    # A BRDF file format: one file.
+    "livlab/brdf/files/toy.py": '''
+        """A toy: seven numbers a line, both directions and the value."""
+
+        from livlab.brdf.files.interface import FileFunctions
+        from livlab.brdf.samples import sample_dataset
+
+
+        def read(path):
+            """Lines of seven."""
+            rows = [[float(x) for x in line.split()] for line in path.read_text().splitlines()]
+            return sample_dataset([r[:3] for r in rows], [r[3:6] for r in rows], [r[6:] for r in rows])
+
+
+        FILE = FileFunctions(read)
+    ''',
 }
 
 # One row each, below a row that is there (and the import that a table of classes needs).
@@ -172,6 +188,12 @@ ROWS = [
         "livlab/brdf/models/lobes.py",
         '        Lobe("lambert", "Lambert 1760", (KD,), _lambert, "kd", f"matt surfaces; {UPPER}"),\n',
         '        Lobe("toy", "nobody", (KD,), _lambert, "kd", "a toy"),\n',
+        "",
+    ),
+    (
+        "livlab/brdf/files/registry.py",
+        "    for row in (\n",
+        '        Format("toy", (".toy",), "livlab.brdf.files.toy", "seven numbers a line", "others", written=False),\n',
         "",
     ),
     (
@@ -218,6 +240,12 @@ USE = """
     up = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
     samples = sample_dataset(up, up[::-1].copy(), np.full((3, 1), 0.25))
     told["lobe"] = livlab.brdf.fit_model(samples, "toy", bootstrap=None).values
+
+    # The format: read, and converted by the command.
+    Path("mine.toy").write_text("0 0 1 0 0 1 0.25\\n0.6 0 0.8 0 0 1 0.2\\n")
+    told["read"] = livlab.brdf.read("mine.toy")["value"].values.ravel().tolist()
+    livlab.brdf.write("mine.csv", livlab.brdf.read("mine.toy"))
+    told["written"] = livlab.brdf.read("mine.csv")["value"].values.ravel().tolist()
     print(json.dumps(told))
 """
 
@@ -271,3 +299,7 @@ def test_an_instrument_of_finite_size_loses_light_at_its_sides(told):
 
 def test_a_lobe_is_fitted(told):
     assert list(told["lobe"].values()) == [pytest.approx(0.25 * math.pi)]
+
+
+def test_a_file_format_is_read_and_converted(told):
+    assert told["read"] == told["written"] == [0.25, 0.2]

@@ -290,7 +290,9 @@ def test_tables_equal_the_sheet_they_were_taken_from() -> None:
     sheets = Path(__file__).resolve().parents[4] / "shared" / "figures"
     if not sheets.is_dir():
         pytest.skip("the transcription sheet is not beside this checkout")
-    for sheet in sorted(sheets.glob("*.csv")):
+    known = [sheet for sheet in sorted(sheets.glob("*.csv")) if sheet.stem in datasets.names()]
+    assert len(known) >= 9  # some sheets are of tables that livlab does not have yet
+    for sheet in known:
         with sheet.open(newline="") as stream:
             rows = list(csv.reader(stream))
         dataset = load(sheet.stem)
