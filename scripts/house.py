@@ -13,6 +13,7 @@ import ast
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -43,6 +44,12 @@ PICTURE = Path("docs/images/house.svg")
 Graph = dict[str, set[str]]
 
 
+@cache
+def parsed(text: str) -> ast.Module:
+    """The syntax tree of a module's text; nobody changes it."""
+    return ast.parse(text)
+
+
 def module_name(file: Path, root: Path) -> str:
     """Dotted name of a module below `root`."""
     parts = file.relative_to(root).with_suffix("").parts
@@ -62,7 +69,7 @@ def packages(known: Mapping[str, Path]) -> list[str]:
 def imports(name: str, file: Path, known: Mapping[str, Path]) -> Iterator[tuple[int, str]]:
     """Line and full name of everything a module imports, inside functions and for type checkers too."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield node.lineno, alias.name

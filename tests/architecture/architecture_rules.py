@@ -109,7 +109,7 @@ def _imports(name: str, file: Path, known: Mapping[str, Path]) -> Iterator[tuple
     """What a module imports; of a face, what it loads at once or in a function, but not what it names for types."""
     named = set()
     if name in house.FACES:
-        blocks = [block for block in ast.parse(file.read_text(encoding="utf-8")).body if _for_types(block)]
+        blocks = [block for block in house.parsed(file.read_text(encoding="utf-8")).body if _for_types(block)]
         named = {node.lineno for block in blocks for node in ast.walk(block) if isinstance(node, ast.stmt)}
     return ((line, target) for line, target in house.imports(name, file, known) if line not in named)
 
@@ -148,7 +148,7 @@ def names_twice(root: Path) -> list[str]:
     """Public classes of one name in two places."""
     places: dict[str, list[str]] = {}
     for file in house.modules(root).values():
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        for node in house.parsed(file.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(f"{file.relative_to(root)}:{node.lineno}")
     return [f"class {name} is defined {len(x)} times: {', '.join(x)}" for name, x in places.items() if len(x) > 1]
@@ -163,12 +163,12 @@ def kind_questions(root: Path) -> list[str]:
             node.name
             for name, file in known.items()
             if within(name, owned)
-            for node in ast.parse(file.read_text(encoding="utf-8")).body
+            for node in house.parsed(file.read_text(encoding="utf-8")).body
             if isinstance(node, ast.ClassDef)
         }
         for name, file in known.items():
             if not within(name, home):
-                asked = _asked(ast.parse(file.read_text(encoding="utf-8")), classes)
+                asked = _asked(house.parsed(file.read_text(encoding="utf-8")), classes)
                 found += [f"{file.relative_to(root)}:{line}: asks whether one is {what}" for line, what in asked]
     return found
 
@@ -197,7 +197,7 @@ def long_functions(root: Path) -> list[str]:
     """Functions past the length where a seam should be found, their documentation not counted."""
     found = []
     for file in house.modules(root).values():
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(house.parsed(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 said = node.body[0].end_lineno - node.body[0].lineno + 1 if ast.get_docstring(node) else 0
                 lines = node.end_lineno - node.lineno + 1 - said
@@ -210,7 +210,7 @@ def long_records(root: Path) -> list[str]:
     """Calls and answers of more values than a reader can tell apart by their place."""
     found = []
     for file in house.modules(root).values():
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(house.parsed(file.read_text(encoding="utf-8"))):
             count = len(node.args) if isinstance(node, ast.Call) and not _foreign(node.func) else 0
             if isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple):
                 count = len(node.value.elts)
@@ -230,7 +230,7 @@ def code_from_data_violations(root: Path) -> list[str]:
     """Calls of eval and exec: a config or a data file is never code."""
     found = []
     for file in house.modules(root).values():
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(house.parsed(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in {"eval", "exec"}:
                 found += [f"{file.relative_to(root)}:{node.lineno}: calls {node.func.id}"]
     return found
@@ -281,7 +281,7 @@ def assertless_tests(files: list[Path]) -> list[str]:
     """Tests that cannot fail: no assert, no expected exception, no call of a helper that asserts."""
     found = []
     for file in files:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+        tree = house.parsed(file.read_text(encoding="utf-8"))
         functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
         asserting: set[str] = set()
         grown = True
