@@ -181,7 +181,7 @@ def needed(graph: Graph) -> Graph:
 
 # --- the picture ---------------------------------------------------------------------------------------------------
 
-WIDTH, ROW, BOX, TOP = 1160, 92, 46, 56
+WIDTH, ROW, BOX, TOP = 900, 76, 36, 66
 
 
 def picture(root: Path) -> str:
@@ -211,21 +211,18 @@ def picture(root: Path) -> str:
     shown = needed(graph)
     for name, box in place.items():
         lines += [_arrow(box, place[to], _slot(shown, place, name, to)) for to in sorted(shown.get(name, ()))]
-    counts = {name: sum(1 for module in modules(root) if room(module) == name) for name in place}
     for name, (x, y, wide) in place.items():
         fill, edge = ("#fdf1ea", "#c8693f") if name.startswith("model.") else ("#eef3fb", "#4a6ea8")
-        files = "1 file" if counts[name] == 1 else f"{counts[name]} files"
         lines += [
             f'<rect x="{x:.0f}" y="{y:.0f}" width="{wide:.0f}" height="{BOX}" rx="7" fill="{fill}" stroke="{edge}"/>',
-            f'<text x="{x + wide / 2:.0f}" y="{y + 20:.0f}" text-anchor="middle" font-size="15" font-weight="600" '
+            f'<text x="{x + wide / 2:.0f}" y="{y + 23:.0f}" text-anchor="middle" font-size="15" font-weight="600" '
             f'fill="#1d2733">{escape(name)}</text>',
-            f'<text x="{x + wide / 2:.0f}" y="{y + 37:.0f}" text-anchor="middle" font-size="11.5" '
-            f'fill="#55606f">{files}</text>',
         ]
     every, few = sum(map(len, graph.values())), sum(map(len, shown.values()))
     lines += [
-        f'<text x="20" y="28" font-size="14" fill="#1d2733">An arrow means “imports”. Of {every} arrows between '
-        f"{len(place)} rooms the {few} are drawn that do not follow from others; every arrow runs downwards.</text>",
+        '<text x="20" y="26" font-size="15" fill="#1d2733">An arrow means “imports”. All run downwards.</text>',
+        f'<text x="20" y="47" font-size="13" fill="#55606f">Of {every} arrows between {len(place)} rooms the {few} are '
+        "drawn that do not follow from others.</text>",
         "</svg>",
     ]
     return "\n".join(lines) + "\n"
