@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from livlab.kinds.report import build_report
-
-Writer = Callable[..., Path]
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = [
     pytest.mark.browser,
@@ -32,15 +29,14 @@ def browser() -> Iterator[Any]:
 
 @pytest.mark.parametrize("width", [360, 390, 1280])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_page_is_quiet_offline_and_fits(browser: Any, write_run: Writer, width: int, scheme: str) -> None:
+def test_page_is_quiet_offline_and_fits(browser: Any, plain_report: Path, width: int, scheme: str) -> None:
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     said: list[str] = []
     asked: list[str] = []
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
-    file = build_report(write_run())
-    page.goto(file.as_uri())
+    page.goto(plain_report.as_uri())
     assert said == []
     assert [u for u in asked if not u.startswith(("file:", "data:"))] == []
     assert len([u for u in asked if u.startswith("file:")]) == 1
@@ -55,9 +51,9 @@ def test_page_is_quiet_offline_and_fits(browser: Any, write_run: Writer, width: 
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_stands_out_from_its_ground(browser: Any, write_run: Writer, scheme: str) -> None:
+def test_text_stands_out_from_its_ground(browser: Any, plain_report: Path, scheme: str) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme=scheme)
-    page.goto(build_report(write_run()).as_uri())
+    page.goto(plain_report.as_uri())
     pairs = page.evaluate(
         """() => {
           const see = c => c.match(/[0-9.]+/g).map(Number);
@@ -81,9 +77,9 @@ def test_text_stands_out_from_its_ground(browser: Any, write_run: Writer, scheme
     page.close()
 
 
-def test_page_prints(browser: Any, write_run: Writer) -> None:
+def test_page_prints(browser: Any, plain_report: Path) -> None:
     page = browser.new_page()
-    page.goto(build_report(write_run()).as_uri())
+    page.goto(plain_report.as_uri())
     pdf = page.pdf(prefer_css_page_size=True)
     assert pdf.startswith(b"%PDF")
     assert 2 <= pdf.count(b"/Type /Page\n") + pdf.count(b"/Type /Page ") <= 12
