@@ -12,6 +12,7 @@ import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from markupsafe import Markup
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -57,7 +58,8 @@ def svg(figure: Figure) -> str:
     out = StringIO()
     _plain_dollars(figure)
     with style():
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        # `savefig` would draw it twice, first for the layout alone, which drawing it does as well.
+        FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     text = out.getvalue()
     return text[text.index("<svg") :]
 
