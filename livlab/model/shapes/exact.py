@@ -18,8 +18,6 @@ Pairs = NDArray[np.int64]
 
 _DRAWN = 1e-6
 _NEEDLE = 1e-5  # height of a face over the mesh's extent
-
-
 _ON_BORDER = 1e-12  # barycentric coordinate below which a point counts as on that edge, as libigl has it
 
 
