@@ -54,13 +54,18 @@ def by_tracer(
         _check(resume, stack, instrument, solver, variant)
         sums.take(resume, view.specular_weight * specular)
     before = float(resume.attrs["seconds"]) if resume is not None else 0.0
+    earlier, before_samples = np.zeros(len(stack.wavelength_nm)), sums.samples
+    if resume is not None and "systematic" in resume:
+        earlier = resume["systematic"].to_numpy()
 
     def result() -> xr.Dataset:
         mean, error = sums.mean(), sums.error()
         value = mean + view.specular_weight * specular
         met = sums.needed(solver, value) <= sums.samples
-        said = [*stack.notes, *view.notes, *_shortfalls(stack, met, block.tracer.troubles["given_up"])]
+        missing = (earlier * before_samples + block.given_up() * (sums.samples - before_samples)) / max(sums.samples, 1)
+        said = [*stack.notes, *view.notes, *_shortfalls(stack, met, missing)]
         out = _dataset(stack, value, error, specular, sums.samples, met)
+        out["systematic"] = ("wavelength", missing, {"units": "1", "long_name": "bound of what given-up paths lack"})
         out.attrs = {
             "instrument": instrument.model_dump_json(),
             "solver": solver.model_dump_json(exclude_none=True),
@@ -110,14 +115,16 @@ def _specular(stack: OpticalStack, view: Readout) -> FloatArray:
     return np.asarray(solved["specular"].to_numpy())
 
 
-def _shortfalls(stack: OpticalStack, met: NDArray[np.bool_], given_up: int) -> list[str]:
+def _shortfalls(stack: OpticalStack, met: NDArray[np.bool_], missing: FloatArray) -> list[str]:
     """Where the error is larger than asked for, and paths that were given up."""
     said = []
     if not met.all():
         short = ", ".join(f"{x:g}" for x in stack.wavelength_nm[~met])
         said.append(f"wanted standard error not reached at {short} nm")
-    if given_up:
-        said.append(f"{given_up} paths were given up before they ended")
+    if missing.max() > 0.0:
+        said.append(
+            f"paths were given up before they ended; up to {missing.max():.2g} is missing for it, stated as systematic"
+        )
     return said
 
 

@@ -78,6 +78,7 @@ def photograph_tissue(
         "long_name": "linear radiance; channels are wavelengths in nm",
         "paths": len(found.radius),
         "troubles": found.troubles,
+        "given_up": float(found.given_up.max()),
     }
     images = xr.DataArray(values * strength, dims=dims, coords=coords, name="radiance", attrs=about)
     variance = xr.DataArray((errors * strength) ** 2, dims=dims, coords=coords)

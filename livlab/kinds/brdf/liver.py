@@ -138,14 +138,19 @@ def _sphere(
 
         pictures = photograph_tissue(rig, stack, half_angle_deg=disc, seed=seed, variant=config.variant, progress=told)
         assert pictures.variance is not None
-        told_of = {which: pictures.images.attrs[which] for which in ("paths", "troubles")}
+        told_of = {which: pictures.images.attrs[which] for which in ("paths", "troubles", "given_up")}
         both = {"images": pictures.images, "variance": pictures.variance}
         kept = xr.Dataset(both, attrs={"seconds": pictures.seconds, **told_of})
         run.save_piece(key, kept)
     seconds = float(kept.attrs["seconds"])
     paths = int(kept.attrs["paths"])
     if kept.attrs["troubles"] > 1e-3 * paths:
-        run.note(f"{name}, {radius_mm:g} mm: {int(kept.attrs['troubles'])} of {paths} paths were given up or lost.")
+        run.note(f"{name}, {radius_mm:g} mm: {int(kept.attrs['troubles'])} of {paths} paths were given up or strayed.")
+    lacking = float(kept.attrs.get("given_up", 0.0))
+    if lacking > 0.0:
+        run.note(
+            f"{name}, {radius_mm:g} mm: paths given up still had {lacking:.2g} of all weight; as much light is missing."
+        )
     costs.append(
         {"stage": "render", "subject": f"{name}, {radius_mm:g} mm", "seconds": seconds, "samples": paths,
          "samples_per_second": paths / seconds}

@@ -113,6 +113,7 @@ class PictureCamera:
         tracer = self._tracer(stack)
         film.setup_seconds += time.perf_counter() - started
         compiled, troubles = tracer.compile_seconds, dict(tracer.troubles)
+        tracer.take_given_up()
         left = max(1, spp // film.batch)
         while left:
             batches = min(left, tracer.most_rows())
@@ -120,6 +121,7 @@ class PictureCamera:
             add(film, seen, batches, tracer.padded, self._lit_pixels)
             left -= batches
         film.compile_seconds += tracer.compile_seconds - compiled
+        _keep_given_up(film, tracer)
         for name, count in tracer.troubles.items():
             film.about[name] = int(film.about.get(name, 0)) + count - troubles[name]
         film.about["renderer"] = self.variant
@@ -177,6 +179,15 @@ class PictureCamera:
             shapes = {n: stage.surface(mi, creased(m) if sharp else m) for n, m in found.meshes.items()}
             self._scenes[key] = mi.load_dict({"type": "scene", **furnish(mi, self.config), **shapes}, optimize=False)
         return self._scenes[key]
+
+
+def _keep_given_up(film: CameraFilm, tracer: Tracer) -> None:
+    """Add to a film what its last pass gave up."""
+    taken = tracer.take_given_up()
+    if taken.paths and film.given_up is not None:
+        film.given_up.add(taken)
+    elif taken.paths:
+        film.given_up, film.level = taken, tracer.level
 
 
 def add(film: CameraFilm, seen: Any, batches: int, padded: int, lit: np.ndarray[Any, np.dtype[np.intp]]) -> None:

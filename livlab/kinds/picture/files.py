@@ -137,9 +137,11 @@ def _exposure(work: Work) -> float:
 def _dataset(work: Work, films: Mapping[str, CameraFilm]) -> xr.Dataset:
     dims = ("reading", *_DIMS)
     units = {"units": "1", "long_name": "radiance over that of a white diffuser of level 1"}
+    missing = {"units": "1", "long_name": "bound of the radiance of paths given up"}
     data: dict[str, Any] = {
         "radiance": (dims, np.stack([f.radiance for f in films.values()]).astype(np.float32), units),
         "radiance_se": (dims, np.stack([f.standard_error for f in films.values()]).astype(np.float32), units),
+        "systematic": (dims, np.stack([f.systematic for f in films.values()]).astype(np.float32), missing),
         "samples": (("reading",), [f.samples for f in films.values()]),
         "lit": (_DIMS[:2], work.camera.lit),
     }
@@ -162,4 +164,4 @@ def _dataset(work: Work, films: Mapping[str, CameraFilm]) -> xr.Dataset:
 
 
 def _encoding() -> dict[str, dict[str, Any]]:
-    return {"radiance": dict(_PACKED), "radiance_se": dict(_PACKED)}
+    return {name: dict(_PACKED) for name in ("radiance", "radiance_se", "systematic")}

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
+from livlab.model.tracer.given_up import GivenUp
 from livlab.units import FloatArray
 
 
@@ -36,6 +37,9 @@ class CameraFilm:
         (seconds, samples, relative error) after each pass.
     about
         What else the renderer tells: variant, effects, notes.
+    given_up, level
+        What paths still weighed that were given up, and the (W,) radiance of a white surface under the scene's lights,
+        which bound what is missing for it; None: nothing was.
     """
 
     wavelength_nm: FloatArray
@@ -50,6 +54,8 @@ class CameraFilm:
     spectra: list[FloatArray] = field(default_factory=list)
     trace: list[tuple[float, float, float]] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
+    given_up: GivenUp | None = None
+    level: FloatArray | float = 0.0
 
     @classmethod
     def empty(cls, rows: int, columns: int, wavelength_nm: FloatArray, batch: int = 1) -> CameraFilm:
@@ -81,6 +87,23 @@ class CameraFilm:
             return np.full_like(self.total, np.nan)
         spread = self.square / self.batches - (self.total / self.batches) ** 2
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (self.batches - 1)))
+
+    @property
+    def systematic(self) -> FloatArray:
+        """(row, column, W) bound of the radiance that is missing, as paths were given up."""
+        if self.given_up is None:
+            return np.zeros_like(self.total)
+        radiance = self.radiance.reshape(-1, self.total.shape[2])
+        level = np.broadcast_to(self.level, radiance.shape[1])
+        return self.given_up.systematic(radiance, level, self.samples).reshape(self.total.shape)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of paths given up."""
+        if self.given_up is None:
+            return []
+        paths = self.samples * self.total.shape[0] * self.total.shape[1]
+        return self.given_up.notes(paths, self.systematic, self.radiance)
 
     def relative_error(self, lit: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
         """Median over the lit pixels of mean standard error over mean radiance, both over the wavelengths.
@@ -116,6 +139,7 @@ class CameraFilm:
                 "square": (dims, self.square),
                 "spectra": (("batch", "wavelength"), spectra),
                 "trace": (("pass", "what"), trace),
+                **({} if self.given_up is None else {"given_up": (("pixel", "wavelength"), self.given_up.weight)}),
             },
             {"wavelength": self.wavelength_nm},
             {
@@ -125,6 +149,7 @@ class CameraFilm:
                 "seconds": self.seconds,
                 "compile_seconds": self.compile_seconds,
                 "setup_seconds": self.setup_seconds,
+                **({} if self.given_up is None else self.given_up.counts() | {"level": np.atleast_1d(self.level)}),
                 **{f"about_{k}": v for k, v in self.about.items() if isinstance(v, str | int | float)},
             },
         )
@@ -133,6 +158,7 @@ class CameraFilm:
     def from_dataset(cls, saved: xr.Dataset) -> CameraFilm:
         """What `to_dataset` kept."""
         a = saved.attrs
+        given_up = GivenUp.of(saved["given_up"].to_numpy(), a) if "given_up" in saved else None
         return cls(
             saved["wavelength"].to_numpy(),
             saved["total"].to_numpy(),
@@ -146,6 +172,8 @@ class CameraFilm:
             spectra=list(saved["spectra"].to_numpy()),
             trace=[(float(x), float(y), float(z)) for x, y, z in saved["trace"].to_numpy()],
             about={k.removeprefix("about_"): v for k, v in a.items() if k.startswith("about_")},
+            given_up=given_up,
+            level=np.asarray(a.get("level", 0.0), dtype=np.float64),
         )
 
     def _seen(self) -> None:

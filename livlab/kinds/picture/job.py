@@ -102,6 +102,8 @@ def _work(run: Run, work: Work) -> None:
             if work.plans[key].told:
                 run.note(f"{label(key)}: {work.plans[key].told}")
         films[key] = _picture(run, work, key, stack)
+        for text in films[key].notes:
+            run.note(f"{label(key)}: {text}")
     for note in work.camera.notes:
         run.note(note)
     baselines = _baselines(run, work)

@@ -96,6 +96,7 @@ class Block:
         )
         t.context.fence = _fence(t, half, depth)
         t.context.lights = _Sensor(t, view)
+        self.most, self.paths = float(np.max(np.abs(view.weights))), 0
 
     def launch(self, samples: int, seed: int, number: int) -> tuple[FloatArray, FloatArray, int, int]:
         """Follow about `samples` paths.
@@ -106,7 +107,12 @@ class Block:
         """
         each = max(1, samples // PIXELS)
         total, squares = self.tracer.launch(1, each, seed, number)
+        self.paths += PIXELS * each
         return total.sum(axis=0), squares.sum(axis=0), PIXELS, each
+
+    def given_up(self) -> FloatArray:
+        """(W,) bound of what the mean of all launches lacks for paths given up: none could have told more than most."""
+        return np.asarray(self.tracer.given_up.weight.sum(axis=0) * self.most / max(self.paths, 1))
 
 
 class _Sensor(Lights):

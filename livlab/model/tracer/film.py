@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
+from livlab.model.tracer.given_up import GivenUp
 from livlab.units import FloatArray
 
 
@@ -29,6 +30,10 @@ class Film:
         Rows summed up.
     passes
         Launches that made them: the next one's number, which its random numbers follow from.
+    given_up
+        What the paths still weighed that were given up.
+    level
+        (W,) radiance of a white surface under the scene's lights; 0 if unknown.
     """
 
     shape: tuple[int, int]
@@ -38,10 +43,13 @@ class Film:
     squares: FloatArray = field(init=False)
     rows: int = 0
     passes: int = 0
+    given_up: GivenUp = field(init=False)
+    level: FloatArray | float = 0.0
 
     def __post_init__(self) -> None:
         size = (self.shape[0] * self.shape[1], len(self.wavelength_nm))
         self.total, self.squares = np.zeros(size), np.zeros(size)
+        self.given_up = GivenUp.none(*size)
 
     @property
     def samples(self) -> int:
@@ -66,14 +74,21 @@ class Film:
         spread = np.maximum(self.squares - np.square(self.total) / self.rows, 0.0)
         return np.sqrt(spread / (self.rows - 1) / self.rows).reshape(*self.shape, -1)
 
+    def systematic(self) -> FloatArray:
+        """(row, column, W) bound of the radiance that is missing, as paths were given up."""
+        radiance = self.total / max(self.rows, 1)
+        found = self.given_up.systematic(radiance, np.broadcast_to(self.level, radiance.shape[1]), self.samples)
+        return found.reshape(*self.shape, -1)
+
     def dataset(self) -> xr.Dataset:
-        """Radiance and standard error with their coordinates."""
+        """Radiance, its standard error and what is missing, with their coordinates."""
         dims = ("row", "column", "wavelength")
         about = {"units": "radiance of the scene's sources"}
         return xr.Dataset(
             {
                 "radiance": (dims, self.mean(), about | {"long_name": "radiance"}),
                 "radiance_se": (dims, self.standard_error(), about | {"long_name": "standard error of the radiance"}),
+                "systematic": (dims, self.systematic(), about | {"long_name": "bound of the radiance given up"}),
             },
             coords={"wavelength": ("wavelength", self.wavelength_nm, {"units": "nm"})},
         )
@@ -82,13 +97,18 @@ class Film:
         """All there is to go on from."""
         dims = ("pixel", "wavelength")
         return xr.Dataset(
-            {"total": (dims, self.total.copy()), "squares": (dims, self.squares.copy())},
+            {
+                "total": (dims, self.total.copy()),
+                "squares": (dims, self.squares.copy()),
+                "given_up": (dims, self.given_up.weight.copy()),
+            },
             coords={"wavelength": self.wavelength_nm},
             attrs={
                 "shape": list(self.shape),
                 "row_samples": self.row_samples,
                 "rows": self.rows,
                 "passes": self.passes,
+                **self.given_up.counts(),
             },
         )
 
@@ -109,6 +129,8 @@ class Film:
             raise InputError.of("resume: wavelengths", "others", "are not this picture's", "Start anew.")
         self.total, self.squares = state["total"].to_numpy().copy(), state["squares"].to_numpy().copy()
         self.rows, self.passes = int(state.attrs["rows"]), int(state.attrs["passes"])
+        if "given_up" in state:
+            self.given_up = GivenUp.of(state["given_up"].to_numpy().copy(), state.attrs)
 
 
 def row_samples(samples: int) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 
 from livlab.model.tracer.context import Context
 from livlab.model.tracer.flight import Flight
+from livlab.model.tracer.given_up import Leftover
 from livlab.model.tracer.interface import cross
 from livlab.model.tracer.interior import interior_walk
 from livlab.model.tracer.medium import NONE
@@ -48,11 +49,14 @@ class LaunchPlan:
         Rows of the film, and lanes that share them: lane i follows rows i, i + lanes, ...
     samples
         Paths of a row.
+    leftover
+        Takes what paths still weigh that are given up.
     """
 
     rows: int
     lanes: int
     samples: int
+    leftover: Leftover
 
 
 class Kernel:
@@ -94,7 +98,7 @@ class Kernel:
             bounce=self.objects.start(n) if self.objects is not None else (),
             light=[zero() for _ in range(context.width)],
             steps=none(),
-            troubles=none(),
+            strayed=none(),
         )
         return self.renew(state, dr.full(mi.Bool, True, n))
 
@@ -157,10 +161,11 @@ class Kernel:
         return s
 
     def trace(self, film: Any, plan: LaunchPlan, seed: int, number: int) -> Any:
-        """Follow all samples of a plan; adds radiance to the film's rows and returns the lanes' troubles."""
+        """Follow all samples of a plan; adds radiance to the film's rows and returns each lane's strayed paths."""
         dr, mi = self.dr, self.mi
         stream = random.streams(self.context.d, plan.lanes, seed, number)
         self.rows, self.lanes, self.samples = (dr.opaque(mi.UInt32, n) for n in (plan.rows, plan.lanes, plan.samples))
+        self.leftover = plan.leftover
         state = self.start(stream, plan.lanes)
         state = dr.while_loop(
             (state,),
@@ -170,8 +175,8 @@ class Kernel:
             label="tracer",
             mode="symbolic",
         )[0]
-        dr.eval(state.troubles, film)
-        return state.troubles
+        dr.eval(state.strayed, film, plan.leftover.sums, plan.leftover.paths)
+        return state.strayed
 
     def step(self, s: PathState, film: Any) -> PathState:
         """Walk inside, then do what the lanes need."""
@@ -205,9 +210,43 @@ class Kernel:
         else:
             self.deposit(s, [s.throughput.common * x for x in seen])
         s.steps = s.steps + 1
-        late = (s.steps >= self.context.max_steps) & (s.pending != END)
-        s.troubles = s.troubles + dr.select(late, mi.UInt32(1), 0)
-        return self.next(s, film, late | (s.pending == END))
+        given_up = self.give_up(s)
+        return self.next(s, film, given_up | (s.pending == END))
+
+    def give_up(self, s: PathState) -> Any:
+        """Lanes whose path has gone too far without an end; what it still weighs is kept."""
+        dr, mi = self.dr, self.mi
+        bounced = mi.Bool(False)
+        if self.objects is not None:
+            bounced = s.bounce.count >= self.context.max_bounces
+        gone = ((s.steps >= self.context.max_steps) | bounced) & (s.pending != END)
+
+        def keep(throughput: Throughput, row: Any, bounced: Any) -> Any:
+            self.leftover.add(row, self.remaining(throughput), bounced)
+            return row
+
+        dr.if_stmt(
+            (s.throughput, s.row, bounced),
+            gone,
+            keep,
+            lambda throughput, row, bounced: row,
+            arg_labels=("throughput", "row", "bounced"),
+            label="given up",
+            mode="symbolic",
+        )
+        return gone
+
+    def remaining(self, throughput: Throughput) -> list[Any]:
+        """What a path weighs at every wavelength."""
+        m, width = self.context.medium, self.context.width
+        weight: list[Any] = [throughput.common] * width
+        if m is not None:
+            zero = [self.mi.Float(0.0)] * width
+            found = m.weights(throughput, lengths=None, log_scatter=zero, log_collide=zero)
+            weight = [x * y for x, y in zip(weight, found, strict=True)]
+        if self.objects is not None:
+            weight = [x * y for x, y in zip(weight, throughput.carried, strict=True)]
+        return weight
 
     def next(self, s: PathState, film: Any, done: Any) -> PathState:
         """Turn to the lane's next sample; what a row has seen is written once, when its last is done."""
@@ -270,7 +309,7 @@ class Kernel:
         s.fresh &= ~(crossed | begins)
         if self.next_event is not None:
             s = self.next_event.sample_lamp(s, (enters & (s.medium != 0)) | begins)
-        s.troubles = s.troubles + dr.select(lost, mi.UInt32(1 << 16), 0)
+        s.strayed = s.strayed + dr.select(lost, mi.UInt32(1), 0)
         return s
 
     def begin(self) -> Any:

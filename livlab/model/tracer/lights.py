@@ -18,6 +18,9 @@ from livlab.units import FloatArray
 
 GROUP = 4
 
+LEVEL_SAMPLES = 64
+"""Points of a lamp, or directions of the environment, that tell how much light there is."""
+
 LampWeight = Callable[[Any], Any]
 """From a lamp's number to the MIS weight of its light."""
 
@@ -147,6 +150,28 @@ class Lights:
         it.wavelengths = mi.UnpolarizedSpectrum(dr.opaque(mi.Float, self.reference[k]))
         ds, found = lamp.sample_direction(it, sample, active)
         return self.emission(mi.UInt32(k) + dr.zeros(mi.UInt32, dr.width(active)), found[0]), ds
+
+    def level(self, box: Any) -> FloatArray:
+        """(W,) radiance of a white surface that faces every lamp, under an environment as bright as its mean.
+
+        The median over places in a box: beside a lamp there is no end to it.
+        """
+        dr, mi = self.dr, self.mi
+        if not self.all:
+            return np.zeros(len(self.wavelengths))
+        places = np.stack(np.meshgrid(*[(0.25, 0.5, 0.75)] * 3), axis=-1).reshape(-1, 3).repeat(LEVEL_SAMPLES, axis=0)
+        low, high = (np.array(x, dtype=np.float64).ravel() for x in (box.min, box.max))
+        it = dr.zeros(mi.Interaction3f, len(places))
+        it.p = mi.Point3f(*(low + places * (high - low)).T.astype(np.float32))
+        line = (np.arange(len(places)) % LEVEL_SAMPLES + 0.5) / LEVEL_SAMPLES
+        sample = mi.Point2f(mi.Float(line), mi.Float(np.mod(line * LEVEL_SAMPLES * 0.6180339887498949, 1.0)))
+        found = np.zeros((len(places), len(self.wavelengths)))
+        for e in self.all:
+            solid = 4.0 * np.pi if e.is_environment() else np.pi
+            arriving, _ = self.arriving(e, it, sample, dr.full(mi.Bool, True, len(places)))
+            found += np.stack([np.array(x, dtype=np.float64) for x in arriving], axis=-1) / solid
+        each = np.nan_to_num(found).reshape(-1, LEVEL_SAMPLES, len(self.wavelengths)).mean(axis=1)
+        return np.asarray(np.median(each, axis=0))
 
     def _groups(self, si: Any, value: Any, active: Any) -> list[Any]:
         out: list[Any] = []

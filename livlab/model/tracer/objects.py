@@ -14,8 +14,11 @@ from livlab.model.tracer.lights import GROUP, groups
 from livlab.model.tracer.state import OUTSIDE, Bounce, PathState
 from livlab.model.tracer.surface import Hit
 
-KEPT = 0.95
-"""Greatest chance with which a path goes on after an object."""
+LEVEL = 0.25
+"""Share of its first weight below which chance decides whether a path goes on after an object; it then weighs this.
+
+A path that weighs more always goes on: one ended by chance at full weight makes those that are left weigh more with
+every object, and their variance grows without end (by 1/0.95 an object in a white room, if one in twenty is ended)."""
 
 EARLY = 4
 """Objects hit before chance decides."""
@@ -82,7 +85,7 @@ class Objects:
         most: Any = carried[0]
         for x in carried[1:]:
             most = dr.maximum(most, x)
-        kept = dr.select(bounce.count >= EARLY, dr.clip(most, 0.05, KEPT), 1.0)
+        kept = dr.select(bounce.count >= EARLY, dr.clip(most * (1.0 / LEVEL), 1e-30, 1.0), 1.0)
         ends = hits & ((draw() >= kept) | (most <= 0.0))
         value = [x * y for x, y in zip(light[:width], throughput.carried, strict=True)]
         scale = dr.select(hits, dr.rcp(kept), 1.0)

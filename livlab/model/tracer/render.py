@@ -15,6 +15,7 @@ import xarray as xr
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tracer.body import Body
+from livlab.model.tracer.context import MAX_BOUNCES
 from livlab.model.tracer.film import Film, row_samples
 from livlab.model.tracer.tracer import VARIANT, Tracer
 from livlab.model.transport.accuracy import Accuracy
@@ -65,6 +66,7 @@ def render(
     sensor: int = 0,
     variant: str = VARIANT,
     max_steps: int = 100_000,
+    max_bounces: int = MAX_BOUNCES,
     progress: Callable[[RenderProgress], None] | None = None,
     preview: Callable[[xr.Dataset], None] | None = None,
     checkpoint: Callable[[xr.Dataset], None] | None = None,
@@ -97,8 +99,9 @@ def render(
         Which of the scene's cameras.
     variant
         A spectral variant of Mitsuba: "llvm_ad_spectral" or "cuda_ad_spectral".
-    max_steps
-        Steps after which a path is given up (counted in the attribute `given_up`).
+    max_steps, max_bounces
+        Steps, and objects hit, after which a path is given up (counted in the attribute `given_up`). What it still
+        weighed goes into `systematic`.
     progress, preview
         Called after each launch with how far it is, and with the picture so far.
     checkpoint
@@ -109,9 +112,11 @@ def render(
     Returns
     -------
     xr.Dataset
-        `radiance` and its standard error `radiance_se` on (row, column, wavelength). Attributes: samples, seed,
-        variant, estimator, seconds, compile_seconds, finished (False after Ctrl-C, which keeps what is done),
-        given_up (paths), strayed (paths found outside that no ray had seen leave), notes (one a line).
+        `radiance`, its standard error `radiance_se` and `systematic`, a bound of the radiance that given-up paths would
+        have brought (`given_up.GivenUp.systematic`; infinite where the light does not fade), on (row, column,
+        wavelength). Attributes: samples, seed, variant, estimator, seconds, compile_seconds, finished (False after
+        Ctrl-C, which keeps what is done), given_up (paths), strayed (paths found outside that no ray had seen leave:
+        they go on from there, nothing is lost), notes (one a line).
 
     Raises
     ------
@@ -122,7 +127,8 @@ def render(
     """
     grid = np.asarray(wavelengths_nm, dtype=np.float64)
     _check(spp, seed)
-    settings = {"sensor": sensor, "estimator": estimator, "variant": variant, "max_steps": max_steps}
+    settings = {"sensor": sensor, "estimator": estimator, "variant": variant}
+    settings |= {"max_steps": max_steps, "max_bounces": max_bounces}
     if not together and len(grid) > 1:
         if resume is not None or checkpoint is not None:
             raise InputError.of("together", together, "pictures one by one keep no state", "Render them together.")
@@ -130,6 +136,7 @@ def render(
     tracer = ready(scene, grid, body, **settings)
     most = spp or (16 if accuracy is None else MOST_SPP)
     film = Film(tracer.shape, tracer.wavelengths, row_samples(most))
+    tracer.take_given_up()
     if resume is not None:
         _resume(film, resume, seed)
     seen = tracer.sees_body() if body is not None and (accuracy is not None or progress is not None) else None
@@ -145,7 +152,12 @@ def render(
         "seconds": tracer.seconds - before,
         "compile_seconds": tracer.compile_seconds - compiled,
         "finished": finished,
-        "notes": "\n".join(body.stack.notes if body is not None else ()),
+        "notes": "\n".join(
+            [
+                *(body.stack.notes if body is not None else ()),
+                *film.given_up.notes(film.samples * tracer.pixels, film.systematic(), film.mean()),
+            ]
+        ),
         **{key: value - troubles[key] for key, value in tracer.troubles.items()},
     }
     return out
@@ -210,6 +222,9 @@ def _launches(
             left = (goal.most - film.samples) // film.row_samples
             rows = max(1, min(tracer.most_rows(), LAUNCH_PATHS // per_row, left))
             film.add(*tracer.launch(rows, film.row_samples, seed, film.passes), rows)
+            film.given_up.add(tracer.take_given_up())
+            if film.given_up.paths:
+                film.level = tracer.level
             if progress is not None:
                 progress(goal.progress(film, time.perf_counter() - started))
             if preview is not None:
@@ -278,8 +293,10 @@ def _one_by_one(scene: Any, grid: FloatArray, body: Body | None, settings: dict[
         wishes["seed"] = wishes["seed"] + (1 << 20) * (k > 0)
         parts.append(render(scene, [float(wavelength)], body=alone, **settings, **wishes))
     out = xr.concat(parts, "wavelength").transpose("row", "column", "wavelength")
+    notes = dict.fromkeys(line for p in parts for line in p.attrs["notes"].splitlines())
     out.attrs = parts[0].attrs | {
-        key: sum(p.attrs[key] for p in parts) for key in ("seconds", "compile_seconds", "given_up", "strayed")
+        "notes": "\n".join(notes),
+        **{key: sum(p.attrs[key] for p in parts) for key in ("seconds", "compile_seconds", "given_up", "strayed")},
     }
     return out
 

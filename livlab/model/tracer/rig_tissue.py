@@ -63,7 +63,10 @@ class Exits:
     weight
         (N, W) radiance that the camera sees for a radiance of 1 in that direction.
     seconds, troubles
-        What it took, and how many paths were given up or lost.
+        What it took, and how many paths were given up or strayed.
+    given_up
+        (W,) weight that given-up paths still had, as a share of that of all paths: of evenly lit tissue no more than
+        this is missing, over one less it (see `livlab.model.tracer.given_up`).
     """
 
     radius: FloatArray
@@ -72,6 +75,7 @@ class Exits:
     weight: FloatArray
     seconds: float
     troubles: int
+    given_up: FloatArray
 
 
 def exits(
@@ -133,6 +137,7 @@ def exits(
         weight,
         time.perf_counter() - started,
         sum(sphere.tracer.troubles.values()),
+        sphere.tracer.given_up.weight[:, :columns].sum(axis=0) / len(row),
     )
 
 

@@ -157,6 +157,8 @@ class PathState:
         What the row has seen, a value a wavelength.
     bounce
         The last object; () in a scene without.
+    strayed
+        How often a path of the lane found itself outside; it goes on from there, as if it had been seen to leave.
     """
 
     stream: Any
@@ -177,4 +179,4 @@ class PathState:
     bounce: Any
     light: list[Any]
     steps: Any
-    troubles: Any
+    strayed: Any

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from livlab.errors import InputError
 from livlab.model.tracer.body import Body
-from livlab.model.tracer.context import Context, TracerOptions
+from livlab.model.tracer.context import MAX_BOUNCES, Context, TracerOptions
 from livlab.model.tracer.field import Field
 from livlab.model.tracer.flight import Flights
+from livlab.model.tracer.given_up import GivenUp, Leftover
 from livlab.model.tracer.kernel import Kernel, LaunchPlan
 from livlab.model.tracer.lights import Lights
 from livlab.model.tracer.media import media, padded_width
@@ -51,8 +53,8 @@ class Tracer:
         "expected" or "analog".
     variant
         A spectral variant of Mitsuba.
-    max_steps
-        Steps after which a path is given up.
+    max_steps, max_bounces
+        Steps, and objects hit, after which a path is given up.
     next_event
         Whether scatterings in the tissue sample the lamps; if not, lamps are hit by chance, points and beams never.
     rays, shape
@@ -77,13 +79,14 @@ class Tracer:
         estimator: str = "expected",
         variant: str = VARIANT,
         max_steps: int = 100_000,
+        max_bounces: int = MAX_BOUNCES,
         next_event: bool = True,
         rays: Callable[[Device, Any], Rays] | None = None,
         shape: tuple[int, int] | None = None,
     ) -> None:
         self.wavelengths = np.asarray(wavelengths_nm, dtype=np.float64)
         self.variant = variant
-        _check(self.wavelengths, body, estimator, variant, max_steps)
+        _check(self.wavelengths, body, estimator, variant, {"max_steps": max_steps, "max_bounces": max_bounces})
         self.mi = mi = mitsuba(variant)
         import drjit as dr
 
@@ -117,10 +120,17 @@ class Tracer:
             lights=lights,
             camera=lambda stream, row: cast(stream, row % pixels),
             size=size,
-            options=TracerOptions(estimator, max_steps, within, next_event),
+            options=TracerOptions(
+                estimator=estimator,
+                max_steps=max_steps,
+                max_bounces=max_bounces,
+                camera_within=within,
+                next_event=next_event,
+            ),
         )
         self.kernel = Kernel(self.context)
         self.troubles = {"given_up": 0, "strayed": 0}
+        self.given_up = GivenUp.none(self.pixels, len(self.wavelengths))
         self.seconds = self.compile_seconds = 0.0
 
     def _within(self, cast: Rays) -> bool:
@@ -160,17 +170,31 @@ class Tracer:
         count = rows * self.pixels
         lanes = min(LANES[self.backend], count)
         film = dr.zeros(mi.Float, count * self.padded)
+        leftover = Leftover(mi, dr, pixels=self.pixels, padded=self.padded, paths_a_pixel=float(rows * samples))
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            troubles = self.kernel.trace(film, LaunchPlan(count, lanes, samples), seed, number)
+            strayed = self.kernel.trace(film, LaunchPlan(count, lanes, samples, leftover), seed, number)
             dr.sync_thread()
             history = dr.kernel_history()
         self.compile_seconds += 1e-3 * sum(h.get("codegen_time", 0.0) + h.get("backend_time", 0.0) for h in history)
-        found = np.array(troubles).astype(np.int64)
-        self.troubles["given_up"] += int((found & 0xFFFF).sum())
-        self.troubles["strayed"] += int((found >> 16).sum())
+        given_up = leftover.read(len(self.wavelengths))
+        self.given_up.add(given_up)
+        self.troubles["given_up"] += given_up.paths
+        self.troubles["strayed"] += int(np.array(strayed).astype(np.int64).sum())
         self.seconds += time.perf_counter() - started
         return film
+
+    @cached_property
+    def level(self) -> FloatArray:
+        """(W,) radiance of a white surface under the scene's lights, in the body's place if there is one."""
+        return self.context.lights.level(self.shapes[0].bbox() if self.shapes else self.scene.bbox())
+
+    def take_given_up(self) -> GivenUp:
+        """What was given up since it was last taken."""
+        taken, self.given_up = self.given_up, GivenUp.none(self.pixels, len(self.wavelengths))
+        options = self.context.options
+        taken.max_steps, taken.max_bounces = options.max_steps, options.max_bounces
+        return taken
 
     def _sums(self, film: Any, rows: int, samples: int) -> tuple[Any, Any]:
         """Sums over the rows of a film, in double precision: a pixel may have 10⁵ rows."""
@@ -266,7 +290,7 @@ def _surfaces(scene: Any, body: Body | None) -> list[Any]:
     return shapes
 
 
-def _check(wavelengths: FloatArray, body: Body | None, estimator: str, variant: str, max_steps: int) -> None:
+def _check(wavelengths: FloatArray, body: Body | None, estimator: str, variant: str, most: Mapping[str, int]) -> None:
     if wavelengths.ndim != 1 or not wavelengths.size or not (np.isfinite(wavelengths) & (wavelengths > 0)).all():
         raise InputError.of("wavelengths_nm", wavelengths, "must be positive numbers", "Give them in nm.")
     if body is not None and not np.array_equal(body.stack.wavelength_nm, wavelengths):
@@ -279,5 +303,6 @@ def _check(wavelengths: FloatArray, body: Body | None, estimator: str, variant: 
         raise InputError.of(
             "variant", variant, "must be a compiled spectral one", "Use 'llvm_ad_spectral' or 'cuda_ad_spectral'."
         )
-    if not 1 <= max_steps < 1 << 30:
-        raise InputError.of("max_steps", max_steps, "must be >= 1", "Allow at least one.")
+    for name, value in most.items():
+        if not 1 <= value < 1 << 30:
+            raise InputError.of(name, value, f"must be within [1, {(1 << 30) - 1}]", "Allow at least one.")
