@@ -223,6 +223,36 @@ def test_a_sample_with_sides_keeps_its_scattering(tissue: Any) -> None:
     assert np.isfinite(made["table"]["value"]).all()
 
 
+@pytest.fixture(scope="module")
+def resting() -> tuple[Any, dict[str, Any]]:
+    """Dermis alone, whose bloodless part takes the rest."""
+    changes = {"layers.dermis.rest": "baseline"}
+    tissue = load_preset("skin", variant="dermis_only", changes=changes)
+    return tissue, bench_data(tissue, READINGS["measured"], GRID, CAMERA, standard_error=1e-2)
+
+
+def test_what_takes_the_rest_has_no_slider(resting: tuple[Any, dict[str, Any]]) -> None:
+    _, data = resting
+    path = "layers.dermis.elements.baseline.fraction"
+    blood = "layers.dermis.elements.blood.fraction"
+    assert data["rest"] == {"path": path, "others": [blood], "fixed": 0.0}
+    assert path not in [s["path"] for s in data["sliders"]]
+
+
+@pytest.mark.browser
+def test_the_rest_follows_the_sliders(page: Any, resting: tuple[Any, dict[str, Any]], tmp_path: Path) -> None:
+    tissue, data = resting
+    opened = page.context.new_page()
+    opened.goto(write_bench(data, tmp_path / "bench.html").as_uri())
+    now = move(opened, "layers.dermis.elements.blood.fraction", 700)
+    opened.close()
+    changed = override(tissue, tomllib.loads(now["config"])["tissue"]["set"])
+    own = changed.layers[0].elements
+    rest = now["parameters"]["layers.dermis.elements.baseline.fraction"]
+    assert rest == pytest.approx(own["baseline"].share, rel=1e-6)
+    assert own["blood"].share > 0.02
+
+
 def test_a_grid_that_draws_a_curve() -> None:
     assert bench_grid(np.array([500.0, 720.0])).tolist() == list(np.linspace(500, 720, 23))
     assert bench_grid(np.array([500.0, 505.0])).tolist() == [500.0, 505.0]

@@ -62,8 +62,9 @@ def bench_data(
 
     Returns
     -------
-    Plain data for JSON: `sliders` (path, label, unit, low, high, value, log), `parts` (spectra of what absorbs, 1/mm),
-    `scattering` (1/mm), `table` (nodes of ln x, value, slope, standard error, first and last valid node),
+    Plain data for JSON: `sliders` (path, label, unit, low, high, value, log), `rest` (the fraction at `path` is what
+    `fixed` and those at `others` leave of 1; None where nothing takes the rest), `parts` (spectra of what absorbs,
+    1/mm), `scattering` (1/mm), `table` (nodes of ln x, value, slope, standard error, first and last valid node),
     `references`, `colour` (weights to linear sRGB), and what it cost.
 
     Raises
@@ -89,7 +90,9 @@ def bench_data(
     free = math.isinf(thickness) and "scattering" in instrument.sliders
     if free:
         sliders += _scattering(endless)
+    rest = _rest(endless, sliders)
     least, most = _extremes(parts, sliders, reduced, free)
+    sliders = [s for s in sliders if rest is None or s["path"] != rest["path"]]
     white = _with_absorption(forward, stack, WHITER * last.absorption)
     forward.record_stacks(stack, [white], seed=seed, progress=progress)
     table = _table(forward, stack, np.log(least), np.log(most), reduced if free else np.ones_like(reduced))
@@ -100,6 +103,7 @@ def bench_data(
         "wavelength_nm": _numbers(grid),
         "endless": free,
         "sliders": sliders,
+        "rest": rest,
         "parts": parts,
         "scattering_per_mm": _numbers(reduced),
         "law": _law(endless, tissue) if free else None,
@@ -188,6 +192,27 @@ def _slider(s: Slider) -> dict[str, Any]:
         "value": s.value,
         "log": s.log,
     }
+
+
+def _rest(tissue: Tissue, sliders: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """How a page works out the fraction of what takes the rest of the last layer; its slider gets the range of that."""
+    layer = tissue.layers[-1]
+    if layer.rest is None:
+        return None
+    own = layer.elements[layer.rest]
+    root, by_path = f"layers.{layer.name}.elements", {s["path"]: s for s in sliders}
+    path = f"{root}.{layer.rest}.{own.share_key()}"
+    if path not in by_path:
+        return None
+    moved, fixed = [], 0.0
+    for name, element in layer.elements.items():
+        if name != layer.rest and element.budget == own.budget:
+            other = f"{root}.{name}.{element.share_key()}"
+            fixed += 0.0 if other in by_path else element.share
+            moved += [other] if other in by_path else []
+    least = max(0.0, 1.0 - fixed - sum(by_path[x]["high"] for x in moved))
+    by_path[path] |= {"low": least, "high": 1.0 - fixed - sum(by_path[x]["low"] for x in moved)}
+    return {"path": path, "others": moved, "fixed": fixed}
 
 
 def _scattering(tissue: Tissue) -> list[dict[str, Any]]:

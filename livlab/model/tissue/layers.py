@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 from pydantic import Field, StringConstraints, model_validator
 
 from livlab.config.errors import nearest
 from livlab.errors import InputError
-from livlab.model.tissue.elements import Element
+from livlab.model.tissue.elements import ELEMENTS, Element
 from livlab.model.tissue.elements.base import Share
 from livlab.model.tissue.spectra import Index, Spec, names_of
 
@@ -46,7 +46,27 @@ class Layer(Spec):
     index: Index = Field(description="Refractive index, also of the medium around fibres.")
     elements: dict[str, Element] = Field({}, description="Elements by name.")
     profile: tuple[Slice, ...] = Field((), strict=False, description="Sublayers from the surface down, if it has any.")
+    rest: str | None = Field(
+        None, description="Element whose fraction is what the others of its budget leave of 1, whatever it says itself."
+    )
     sources: dict[str, str] = Field({}, description="Where each number came from, by its key.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rest_said(cls, data: Any) -> Any:
+        """What takes the rest need not say its fraction; an empty name says that nothing does."""
+        if not isinstance(data, Mapping) or "rest" not in data:
+            return data
+        elements = data.get("elements")
+        element = elements.get(data["rest"]) if isinstance(elements, Mapping) else None
+        if isinstance(element, Mapping):
+            key = next(
+                (x.share_key() for x in ELEMENTS if element.get("kind") in get_args(x.model_fields["kind"].annotation)),
+                "",
+            )
+            if key and key not in element:
+                elements = {**elements, data["rest"]: {**element, key: 0.0}}  # type: ignore[dict-item]
+        return {**data, "rest": data["rest"] or None, **({"elements": elements} if elements is not None else {})}
 
     @model_validator(mode="after")
     def _holds_together(self) -> Layer:
@@ -78,9 +98,30 @@ class Layer(Spec):
                     f"is no element of layer {self.name}",
                     nearest(replaced, self.elements) or "Name one, or leave it out.",
                 )
+        if self.rest is not None:
+            self._check_rest()
+            self.elements[self.rest] = _filling(self.elements, self.rest)
         for flat in self.flat():
-            _fits(flat)
+            _fits(flat, self)
         return self
+
+    def _check_rest(self) -> None:
+        """Whether the element that takes the rest can.
+
+        Raises
+        ------
+        InputError
+            It is none of the layer's, has no fraction, or is given one by the profile.
+        """
+        name = self.rest or ""
+        if name not in self.elements:
+            hint = nearest(name, self.elements) or f"It has: {', '.join(self.elements) or 'none'}."
+            raise InputError.of("rest", name, f"is no element of layer {self.name}", hint)
+        if not self.elements[name].budget:
+            fit = [n for n, x in self.elements.items() if x.budget]
+            raise InputError.of("rest", name, "has no volume fraction", f"Name one of {', '.join(fit)}.")
+        if any(name in part.fractions for part in self.profile):
+            raise InputError.of("rest", name, "is given fractions by the profile", "Leave it out of the profile.")
 
     def flat(self) -> tuple[FlatLayer, ...]:
         """The layer as layers of constant composition: itself, or its sublayers named "NAME 1", "NAME 2", …."""
@@ -93,6 +134,8 @@ class Layer(Spec):
                 name: element.with_share(part.fractions[name]) if name in part.fractions else element
                 for name, element in self.elements.items()
             }
+            if self.rest is not None:
+                elements[self.rest] = _filling(elements, self.rest)
             thickness = (part.to - start) * self.thickness_mm
             made.append(FlatLayer(f"{self.name} {number}", thickness, self.index, elements))
             start = part.to
@@ -103,12 +146,26 @@ class Layer(Spec):
         return (*names_of(self.index), *(n for x in self.elements.values() for n in x.dataset_names()))
 
 
-def _fits(layer: FlatLayer) -> None:
+def _filling(elements: Mapping[str, Element], rest: str) -> Element:
+    """The element with what the others of its budget leave of 1; nothing where they leave nothing."""
+    own = elements[rest]
+    others = sum(x.share for n, x in elements.items() if n != rest and x.budget == own.budget)
+    made = own.with_share(min(max(1.0 - others, 0.0), 1.0))
+    said = {**own.sources, own.share_key(): "what the others leave of 1"}
+    return made.model_copy(update={"sources": said})
+
+
+def _fits(flat: FlatLayer, layer: Layer) -> None:
     for budget in ("composition", "structure"):
-        shares = {n: x.share for n, x in layer.elements.items() if x.budget == budget}
+        shares = {n: x.share for n, x in flat.elements.items() if x.budget == budget}
         total = sum(shares.values())
         if total > 1.0 + 1e-9:
             listed = ", ".join(f"{n} {s:g}" for n, s in shares.items())
+            remedy = f"Lower a fraction (by {total - 1.0:.3g} in all)"
+            given = {n for part in layer.profile for n in part.fractions}
+            free = [n for n in sorted(shares, key=lambda n: -shares[n]) if n not in given]
+            if layer.rest not in shares and free:
+                remedy += f", or let one be what the others leave: layers.{layer.name}.rest = {free[0]!r}"
             raise InputError.of(
-                f"fractions of {layer.name}", round(total, 9), f"must sum to at most 1 ({listed})", "Lower a fraction."
+                f"fractions of {flat.name}", round(total, 9), f"must sum to at most 1 ({listed})", f"{remedy}."
             )

@@ -109,6 +109,8 @@ class Tissue(Spec):
         for choice in self.choices:
             if choice.holds(reading, self.state):
                 for path, value in choice.set.items():
+                    if self._takes_rest(path):
+                        continue
                     by = next((who for p, who in self.given.items() if _overlap(p, path)), "")
                     if not by or (choice.state and by.startswith("state ")):
                         changes[path] = value
@@ -123,8 +125,18 @@ class Tissue(Spec):
                 s.model_copy(update={"fractions": {n: f for n, f in s.fractions.items() if n in kept}})
                 for s in layer.profile
             )
-            layers.append(layer.model_copy(update={"elements": kept, "profile": profile}))
+            rest = layer.rest if layer.rest in kept else None
+            layers.append(layer.model_copy(update={"elements": kept, "profile": profile, "rest": rest}))
         return made.model_copy(update={"layers": tuple(layers), "choices": ()})
+
+    def _takes_rest(self, path: str) -> str:
+        """Layer of whose rest a path is the fraction, which follows from the others; empty for any other path."""
+        for number, layer in enumerate(self.layers):
+            if layer.rest is not None:
+                tail = f"elements.{layer.rest}.{layer.elements[layer.rest].share_key()}"
+                if path in (f"layers.{layer.name}.{tail}", f"layers.{number}.{tail}"):
+                    return layer.name
+        return ""
 
     def options(self) -> tuple[str, ...]:
         """Options of a reading that bear on this tissue: on what it is made of, its own choices, and any walk.
@@ -222,7 +234,14 @@ def override(tissue: Tissue, changes: Mapping[str, Any], *, by: str = "user") ->
         place, key = _place(data, path)
         place[key] = _plain(value)
         data["given"][path] = by
-    return type(tissue).parse(data, source=f"tissue {tissue.name}")
+    made = type(tissue).parse(data, source=f"tissue {tissue.name}")
+    for path in changes:
+        if layer := made._takes_rest(path):
+            raise ConfigError.of(
+                path, changes[path], f"follows from the others, since it takes the rest of {layer}",
+                f"Leave it out, or set layers.{layer}.rest = '' first.",
+            )  # fmt: skip
+    return made
 
 
 def _thickness(layer: Layer) -> str:

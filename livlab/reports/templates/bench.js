@@ -50,6 +50,11 @@
     return { value, error: e[k] * (1 - s) + e[k + 1] * s, inside };
   }
 
+  /** What takes the rest of the layer gets what the others leave. */
+  function fill(data, p) {
+    if (data.rest) p[data.rest.path] = Math.max(0, 1 - data.rest.fixed - data.rest.others.reduce((s, path) => s + p[path], 0));
+  }
+
   /** Reading of the instrument at each wavelength. */
   function evaluate(data, p) {
     const a = absorption(data, p);
@@ -187,6 +192,7 @@
 
     function update() {
       const began = performance.now();
+      fill(data, p);
       const found = evaluate(data, p);
       const values = found.map((f) => f.value), valid = found.map((f) => f.inside), errors = found.map((f) => f.error);
       draw(values, valid, errors);

@@ -254,10 +254,14 @@ class ElementBase(Spec):
         """Volume fraction that counts in the layer's budget."""
         return 0.0
 
+    @classmethod
+    def share_key(cls) -> str:
+        """Key of the volume fraction; empty for what has none."""
+        return next((k for k in ("volume_fraction", "fraction") if cls.budget and k in cls.model_fields), "")
+
     def with_share(self, fraction: float) -> Self:
         """The same element at another volume fraction."""
-        key = "volume_fraction" if "volume_fraction" in type(self).model_fields else "fraction"
-        return self.model_copy(update={key: fraction})
+        return self.model_copy(update={self.share_key(): fraction})
 
     @property
     def stands_in_for(self) -> str:
