@@ -19,7 +19,7 @@ from livlab.errors import InputError, Interrupted
 from livlab.fitting.intervals import ProfileInterval, Profiler
 from livlab.fitting.options import FitOptions
 from livlab.fitting.outcome import FitOutcome
-from livlab.fitting.problem import Problem, corners
+from livlab.fitting.problem import Problem, corners, is_tissue
 from livlab.fitting.spread import ParameterSpread
 from livlab.optimise import OptimiseResult, ParameterSpace, identifiability, least_squares
 from livlab.optimise.covariance import normal_quantile
@@ -172,9 +172,10 @@ class _Run:
             rises = spread.rises(normal_quantile(self.options.level) ** 2 * spread.variance)
             told = {name: profiler.interval(name, rises[name]) for name in space.names}
             # The first recording serves the whole box: its intervals tell what the later ones have to serve.
-            self.served += _farthest([*profiler.lost, *(profiler.ends if not number else ())], space, at)
+            lost = [values for values in profiler.lost if is_tissue(problem.forward, values)]
+            self.served += _farthest([*lost, *(profiler.ends if not number else ())], space, at)
             self.profiled = told if number else {}
-            self.lost = profiler.lost
+            self.lost = lost
         self.seconds["uncertainty"] += time.perf_counter() - clock
 
     def outcome(self) -> FitOutcome:

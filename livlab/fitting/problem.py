@@ -182,7 +182,6 @@ def corners(
         A smaller box: its middle, and half its side as a share of the box's; the whole box if not given.
     """
     rng = np.random.default_rng(seed)
-    stack = getattr(forward, "stack", None)
     found: list[dict[str, float]] = []
     finite = np.isfinite(space.low) & np.isfinite(space.high)
     low, high = space.low, space.high
@@ -192,12 +191,20 @@ def corners(
     for _ in range(8 * CORNERS):
         side = rng.random(len(space.free)) < 0.5
         values = space.values(np.where(finite, np.where(side, low, high), space.start))
-        try:
-            if stack is not None:
-                stack(values)
-        except LivlabError:
+        if not is_tissue(forward, values):
             continue
         found.append(values)
         if len(found) == CORNERS:
             break
     return found
+
+
+def is_tissue(forward: Forward, values: Mapping[str, float]) -> bool:
+    """Whether the tissue holds together at given values; of a model without a `stack`, all do."""
+    stack = getattr(forward, "stack", None)
+    try:
+        if stack is not None:
+            stack(values)
+    except LivlabError:
+        return False
+    return True

@@ -11,7 +11,7 @@ from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.acquire.instruments.models import Instrument
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section, Text
-from livlab.errors import InputError, LivlabError
+from livlab.errors import InputError
 from livlab.kinds.shared.sections import Wavelength, Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading
@@ -266,22 +266,10 @@ class FitExperiment(Experiment):
         return list(found.values())
 
     def _tissue_holds(self) -> None:
-        from livlab.model.tissue.tissue import override
+        from livlab.kinds.fit.room import Room
         from livlab.optimise.parameters import ParameterSpace
 
-        space = ParameterSpace(self.parameters())
-        start = space.values(space.vector({}))
-        for scene in self.scenes():
-            tissue = override(self.tissue.build(), scene.set, by="measurement") if scene.set else self.tissue.build()
-            try:
-                override(tissue, {path: start[key] for path, key in scene.keys.items()}, by="fit")
-            except LivlabError as error:
-                raise InputError.of(
-                    "parameter",
-                    ", ".join(f"{p.name} = {start[p.key]:g}" for p in self.parameter),
-                    f"is no tissue at the start: {error.message.rstrip('.')}",
-                    error.remedy or "Mend the path or the start.",
-                ) from None
+        Room(self, ParameterSpace(self.parameters())).check_start()
 
     def parameters(self) -> list[Any]:
         """As `livlab.optimise` takes them, by key.

@@ -19,12 +19,17 @@ from livlab.fitting.scenes import JointForward
 from livlab.fitting.targets import CurveTarget
 from livlab.kinds.fit import tables
 from livlab.kinds.fit.config import FitExperiment, Measurement, Scene
+from livlab.kinds.fit.room import Room
 from livlab.model.tissue.tissue import Tissue, override
 from livlab.optimise import ParameterSpace
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
     from livlab.kinds.shared.references import Known
+
+
+STARTS = 4
+"""Searches that begin where some of the box is no tissue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +95,9 @@ class FitSetup:
     targets
         What is to be had of the measurements, by label.
     notes
-        What was left out of a measurement, and why.
+        What was left out of a measurement, and why; what of the box is no tissue.
+    walled
+        Whether some of the box is none: a search that meets such a wall stops there, so several begin.
     """
 
     config: FitExperiment
@@ -98,26 +105,28 @@ class FitSetup:
     forward: JointForward
     targets: dict[str, CurveTarget]
     notes: tuple[str, ...] = ()
+    walled: bool = False
 
     @classmethod
     def of(cls, config: FitExperiment, curves: Mapping[str, MeasuredCurve]) -> Self:
-        """Everything that can go wrong before light is followed: bands, the tissue at the start.
+        """Everything that can go wrong before light is followed: bands, the tissue at the start and at the bounds.
 
         Raises
         ------
         InputError
-            A curve without enough points on the wavelengths.
+            A curve without enough points on the wavelengths, or a bound that no tissue reaches.
         RangeError, DatasetError
             A dataset of the tissue that is damaged, or does not reach.
         """
         scenes, grid = config.scenes(), config.wavelengths.grid()
         measured = [m for m in config.measurement if m.label in curves]
         targets = {m.label: target(m, curves[m.label], grid, scene_of(scenes, m.label), len(scenes)) for m in measured}
-        notes = tuple(_thinned(targets[m.label], curves[m.label], m, grid) for m in measured)
+        notes = [_thinned(targets[m.label], curves[m.label], m, grid) for m in measured]
         space = ParameterSpace(config.parameters())
+        walls = Room(config, space).check()
         forward = JointForward([_forward(config, scene) for scene in scenes], [scene.keys for scene in scenes])
         forward.stack(space.values(space.vector({})))
-        return cls(config, space, forward, targets, tuple(filter(None, notes)))
+        return cls(config, space, forward, targets, tuple(filter(None, [*notes, walls])), bool(walls))
 
     @property
     def fitted(self) -> list[CurveTarget]:
@@ -140,7 +149,7 @@ class FitSetup:
         how = self.config.search
         options = FitOptions(
             algorithm=self.algorithm,
-            starts=how.starts,
+            starts=max(how.starts, STARTS) if self.walled else how.starts,
             seed=self.config.seed,
             max_evaluations=how.max_evaluations,
             max_seconds=how.max_seconds,
@@ -157,7 +166,8 @@ class FitSetup:
 
     def said(self, found: FitOutcome) -> list[str]:
         """What a report must show, by the parameters' labels, once each."""
-        texts = (*self.notes, *self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
+        edge = Room(self.config, self.space).ends_at(found.best)
+        texts = (*self.notes, *edge, *self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
         return list(dict.fromkeys(tables.named(text, self.config) for text in texts))
 
     def tissue(self, label: str, best: Mapping[str, float]) -> Tissue:

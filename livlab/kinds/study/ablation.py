@@ -11,12 +11,14 @@ import numpy as np
 from livlab.acquire.instruments.models import Instrument
 from livlab.effects.catalogue import catalogue
 from livlab.effects.scene import OpticalScene
+from livlab.errors import InputError
 from livlab.kinds.study.config import StudyExperiment
 from livlab.kinds.study.config_parts import Target
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.readings import READINGS, Reading, reading, rows
 from livlab.model.tissue.stack import OpticalStack
 from livlab.model.tissue.tissue import Tissue
+from livlab.units import FloatArray
 
 _COSINES = np.array([-0.95, -0.4, 0.1, 0.6, 0.9, 0.99])
 
@@ -55,8 +57,8 @@ def cases(config: StudyExperiment) -> list[AblationCase]:
 
     Raises
     ------
-    LivlabError
-        A tissue that a base reading cannot take.
+    InputError
+        A tissue that a reading cannot take.
     """
     assert config.ablation is not None
     spec, tissue, grid = config.ablation, config.tissue.build(), config.wavelengths.grid()
@@ -75,10 +77,21 @@ def cases(config: StudyExperiment) -> list[AblationCase]:
                     )
     if spec.towards is not None:
         made += _path(bases[0], READINGS[spec.towards], numbers)
-    stacks = {c.label: optical_stack(tissue, c.reading, grid) for c in made}
+    stacks = {c.label: _stack(c, tissue, grid) for c in made}
     if spec.effects:
         made += _effects(bases[0], stacks[bases[0].name], config.instrument, tissue)
     return _told_apart(made, stacks)
+
+
+def _stack(case: AblationCase, tissue: Tissue, grid: FloatArray) -> OpticalStack:
+    """The optical stack of a case; what is wrong is told with the case's name."""
+    try:
+        return optical_stack(tissue, case.reading, grid)
+    except InputError as error:
+        raise InputError.of(
+            "ablation case", case.label, f"cannot be made: {error.message.rstrip('.')}",
+            error.remedy or "Leave its option out.",
+        ) from None  # fmt: skip
 
 
 def _path(start: Reading, end: Reading, numbers: Mapping[str, Any]) -> list[AblationCase]:

@@ -11,7 +11,7 @@ from livlab.acquire.instruments.models import Instrument
 from livlab.acquire.instruments.solvers import AddingDoublingSolver, AutoSolver, WalkSolver
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment
-from livlab.errors import InputError, LivlabError
+from livlab.errors import InputError
 from livlab.kinds.shared.sections import Reference, Wavelengths
 from livlab.kinds.study.config_parts import Ablation, Factor, LedgerSolver, Output, Sensitivity, StudyCriterion, Sweep
 from livlab.model.tissue.presets import TissueSpec
@@ -112,18 +112,10 @@ class StudyExperiment(Experiment):
     def _factors_lead_somewhere(self) -> None:
         """Both ends of every factor must make a tissue, a reading and an instrument."""
         from livlab.kinds.study.points import Base
+        from livlab.kinds.study.room import StudyRoom
 
-        tissue = self.tissue.build()
-        base = Base(tissue, self.reading, self.instrument)
-        for f in self.factor:
-            for value in f.ends():
-                try:
-                    base.at({f.path: value})
-                except LivlabError as error:
-                    raise InputError.of(
-                        f"factor {f.name}", f"{f.path} = {value}", f"does not fit: {error.message}",
-                        error.remedy or "Mend the path or the value.",
-                    ) from None  # fmt: skip
+        if self.factor:
+            StudyRoom(Base(self.tissue.build(), self.reading, self.instrument), self.factor).check_ends()
 
     def resolve(self) -> Self:
         """With the tissue written out in full."""

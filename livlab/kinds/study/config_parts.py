@@ -206,7 +206,11 @@ class Sensitivity(Section):
 
     def jobs(self, factors: int) -> int:
         """Evaluations for so many factors."""
-        return self.points * (factors + (2 if self.estimator == "sobol" else 1))
+        return self.points * self.block(factors)
+
+    def block(self, factors: int) -> int:
+        """Evaluations that belong together: a base point and what is changed of it."""
+        return factors + (2 if self.estimator == "sobol" else 1)
 
 
 class Target(Section):

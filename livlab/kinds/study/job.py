@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from livlab.kinds.study import ablation, sensitivity, sweep, tables
 from livlab.kinds.study.config import StudyExperiment
 from livlab.kinds.study.outputs import Number, Outputs
 from livlab.kinds.study.points import Base
+from livlab.kinds.study.room import Design, laid_out
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +34,8 @@ def prepare(config: StudyExperiment) -> Callable[[Run], None]:
     Raises
     ------
     InputError
-        A reference shorter than a band, one point alone, more evaluations than `most_jobs`, a claim on no case.
+        A reference shorter than a band, one point alone, more evaluations than `most_jobs`, a claim on no case, points
+        of which none is a tissue (of a sensitivity: too few).
     DatasetError, RangeError
         A dataset that is damaged, or does not reach.
     """
@@ -57,10 +59,11 @@ def prepare(config: StudyExperiment) -> Callable[[Run], None]:
         size = config.sensitivity.jobs(len(config.factor))
         sweep.check_size(size, config.most_jobs, config.sensitivity.estimator, "Take fewer points or factors")
         unit = sensitivity.unit_design(config.sensitivity, len(config.factor), config.seed)
-        points = sweep.mapped(config.factor, unit)
-        return lambda run: _sensitivity(run, config, unit, points, outputs, hashes)
-    points = sweep.sweep_points(config)
-    return lambda run: _sweep(run, config, points, outputs, hashes)
+        design = laid_out(config, sweep.mapped(config.factor, unit))
+        sensitivity.check_blocks(config.sensitivity, len(config.factor), design.empty)
+        return lambda run: _sensitivity(run, config, unit, design, outputs, hashes)
+    laid = laid_out(config, sweep.sweep_points(config))
+    return lambda run: _sweep(run, config, laid, outputs, hashes)
 
 
 def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: Scheduler | None = None) -> list[Answer]:
@@ -103,16 +106,18 @@ def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: S
 
 
 def _evaluated(
-    run: Run, config: StudyExperiment, points: Sequence[sweep.Point], outputs: Outputs, hashes: Mapping[str, str]
+    run: Run, config: StudyExperiment, design: Design, outputs: Outputs, hashes: Mapping[str, str]
 ) -> tuple[list[Answer], list[dict[str, Number]], list[dict[str, object]]]:
     """Curves and outputs of points, and what they cost; failed ones have nan and their reason."""
     begun = time.perf_counter()
-    jobs = sweep.jobs_of(config, points, hashes)
-    given = answers(run, config, jobs)
-    curves = sweep.curves_of(config, points, given)
+    if design.empty:
+        run.note(design.note())
+    good = design.tissues()
+    given = answers(run, config, sweep.jobs_of(config, good, hashes))
+    curves = design.whole(sweep.curves_of(config, good, given))
     wall = time.perf_counter() - begun
     made = _numbers(config, curves, outputs)
-    _tell_failures(run, curves, made, outputs)
+    _tell_failures(run, curves, made, outputs, set(design.empty))
     return curves, made, tables.costs(config, given, curves, wall)
 
 
@@ -127,15 +132,24 @@ def _numbers(config: StudyExperiment, curves: Sequence[Answer], outputs: Outputs
     return made
 
 
-def _tell_failures(run: Run, curves: Sequence[Answer], made: Sequence[Mapping[str, Number]], outputs: Outputs) -> None:
-    failed = [str(c["error"]) for c in curves if "error" in c]
-    if len(failed) == len(curves):
+def _tell_failures(
+    run: Run,
+    curves: Sequence[Answer],
+    made: Sequence[Mapping[str, Number]],
+    outputs: Outputs,
+    told: Collection[int] = (),
+) -> None:
+    """Notes on points without a curve, `told` being those of which the run speaks already; on outputs that are nan."""
+    failed = [str(c["error"]) for k, c in enumerate(curves) if "error" in c and k not in told]
+    if len(failed) == len(curves) - len(told):
         raise InputError.of(
-            "study", f"0 of {len(curves)} evaluations", f"gave a curve; the first failed so: {failed[0]}",
+            "study", f"0 of {len(failed)} evaluations", f"gave a curve; the first failed so: {failed[0]}",
             "Mend the tissue, or the factors' bounds.",
         )  # fmt: skip
     if failed:
-        run.note(f"{len(failed)} of {len(curves)} evaluations gave no curve; the first failed so: {failed[0]}")
+        run.note(
+            f"{len(failed)} of {len(curves) - len(told)} evaluations gave no curve; the first failed so: {failed[0]}"
+        )
     for name in outputs.names:
         if name in outputs.missing:
             run.note(f"{name}: {outputs.missing[name]}")
@@ -146,11 +160,9 @@ def _tell_failures(run: Run, curves: Sequence[Answer], made: Sequence[Mapping[st
             run.note(f"{name}: {len(bad)} of {len(reasons)} curves have none; the first because {bad[0]}")
 
 
-def _sweep(
-    run: Run, config: StudyExperiment, points: Sequence[sweep.Point], outputs: Outputs, hashes: Mapping[str, str]
-) -> None:
-    begun = time.perf_counter()
-    curves, made, costs = _evaluated(run, config, points, outputs, hashes)
+def _sweep(run: Run, config: StudyExperiment, design: Design, outputs: Outputs, hashes: Mapping[str, str]) -> None:
+    begun, points = time.perf_counter(), design.points
+    curves, made, costs = _evaluated(run, config, design, outputs, hashes)
     run.write_result({"/": tables.result(config, points, curves, made, outputs)})
     claims = []
     seconds = time.perf_counter() - begun
@@ -167,13 +179,13 @@ def _sensitivity(
     run: Run,
     config: StudyExperiment,
     unit: FloatArray,
-    points: Sequence[sweep.Point],
+    design: Design,
     outputs: Outputs,
     hashes: Mapping[str, str],
 ) -> None:
     assert config.sensitivity is not None
-    begun = time.perf_counter()
-    curves, made, costs = _evaluated(run, config, points, outputs, hashes)
+    begun, points = time.perf_counter(), design.points
+    curves, made, costs = _evaluated(run, config, design, outputs, hashes)
     run.write_result({"/": tables.result(config, points, curves, made, outputs)})
     names = [f.name for f in config.factor]
     grown: dict[str, pd.DataFrame] = {}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from livlab.errors import InputError
+from livlab.errors import InputError, LivlabError
 from livlab.kinds.study.config_parts import Sensitivity
 from livlab.units import FloatArray
 
@@ -52,6 +52,27 @@ def unit_design(spec: Sensitivity, factors: int, seed: int) -> FloatArray:
     return np.asarray(morris(problem, spec.points, num_levels=spec.levels, seed=seed), dtype=np.float64)
 
 
+def check_blocks(spec: Sensitivity, factors: int, empty: Mapping[int, LivlabError]) -> None:
+    """Refuse a design with more blocks that hold a point without a tissue than an estimate can do without.
+
+    Raises
+    ------
+    InputError
+        There are more.
+    """
+    if not empty:
+        return
+    bad = {k // spec.block(factors) for k in empty}
+    if len(bad) > (1.0 - LEAST_SHARE) * spec.points or spec.points - len(bad) < min(LEAST_BLOCKS, spec.points):
+        first = next(iter(empty.values()))
+        raise InputError.of(
+            "factor", f"{len(bad)} of {spec.points} blocks of the design with a point that is no tissue",
+            f"leave no indices, which need {LEAST_SHARE:.0%} of the blocks whole; the first: "
+            f"{first.message.rstrip('.')}",
+            f"Narrow the factors to where every point is a tissue. {first.remedy}".rstrip(),
+        )  # fmt: skip
+
+
 def indices(spec: Sensitivity, unit: FloatArray, values: FloatArray, names: Sequence[str], seed: int) -> pd.DataFrame:
     """Indices of one output.
 
@@ -78,7 +99,7 @@ def indices(spec: Sensitivity, unit: FloatArray, values: FloatArray, names: Sequ
     InputError
         The indices are not defined: the output is constant, nan everywhere, or nan in too many blocks.
     """
-    block = unit.shape[1] + (2 if spec.estimator == "sobol" else 1)
+    block = spec.block(unit.shape[1])
     y: FloatArray = values.reshape(-1, block)
     kept: NDArray[np.bool_] = np.asarray(np.isfinite(y).all(axis=1))
     if not np.isfinite(values).any():
@@ -136,7 +157,7 @@ def growth(spec: Sensitivity, unit: FloatArray, values: FloatArray, names: Seque
     -------
     The rows of `indices`, with `points` in front; sizes that leave too few blocks are left out.
     """
-    block = unit.shape[1] + (2 if spec.estimator == "sobol" else 1)
+    block = spec.block(unit.shape[1])
     made = []
     for count in (spec.points // 4, spec.points // 2, spec.points):
         if count < LEAST_BLOCKS and count < spec.points:

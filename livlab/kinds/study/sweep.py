@@ -174,7 +174,7 @@ def _ledger_jobs(
             "instrument": fixed.instrument.model_dump(mode="json"),
             "variant": config.variant,
             "names": names,
-            "centre": [f.at(0.5) for f in moving],
+            "centre": _centre(moving, fixed, [points[k] for k in members]),
             "others": _corners(moving, fixed, config.seed),
             "standard_error": config.solver.standard_error,
             "seed": config.seed,
@@ -184,6 +184,18 @@ def _ledger_jobs(
             part = members[start : start + BATCH]
             made.append((Job("ledger", {**recipe, "points": [[points[k][n] for n in names] for k in part]}), part))
     return made
+
+
+def _centre(moving: Sequence[Factor], base: Base, points: Sequence[Point]) -> list[float]:
+    """The middle of the box; where that is no tissue, the point of the study that is nearest to it."""
+    middle = [float(f.at(0.5)) for f in moving]
+    try:
+        base.at({f.path: x for f, x in zip(moving, middle, strict=True)})
+    except LivlabError:
+        span = np.array([f.at(1.0) - f.at(0.0) for f in moving])
+        at = np.array([[float(p[f.path]) for f in moving] for p in points])
+        return [float(x) for x in at[np.argmin(np.abs((at - middle) / span).max(axis=1))]]
+    return middle
 
 
 def _corners(moving: Sequence[Factor], base: Base, seed: int) -> list[list[float]]:

@@ -154,7 +154,13 @@ def test_points_that_fail_are_told_and_do_not_stop_the_rest(tmp_path: Path) -> N
     table = pd.read_csv(folder / "results.csv")
     assert table["mean"].notna().tolist() == [True, True, True, False]
     assert "must sum to at most 1" in table["error"].iloc[3]
-    assert "1 of 4 evaluations gave no curve" in notes(folder)
+    assert "1 of 4 points are no tissue: they were not simulated" in notes(folder)
+    assert "evaluations gave no curve" not in notes(folder)
+    recorded = text("sweep", pair, MEAN, tissue=tissue, top='reading = "consistent"').replace(
+        'kind = "adding-doubling"\ntolerance = 1e-4', 'kind = "ledger"\nstandard_error = 0.02'
+    )
+    same = pd.read_csv(run(recorded, tmp_path / "ledger") / "results.csv")
+    assert same["mean"].notna().tolist() == [True, True, True, False]
 
 
 def test_a_study_in_which_every_point_fails_says_why(tmp_path: Path) -> None:
