@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -16,6 +16,9 @@ from livlab.kinds.shared.sections import Wavelength, Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading
 from livlab.optimise.algorithms import ALGORITHMS
+
+if TYPE_CHECKING:
+    from livlab.kinds.fit.room import Room
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -225,7 +228,7 @@ class FitExperiment(Experiment):
                 raise InputError.of(
                     f"measurement {m.label}.band_nm", m.band_nm, f"lies outside {grid[0]:g}–{grid[-1]:g} nm", "Move it."
                 )
-        self._tissue_holds()
+        self.room().check_start()
         return self
 
     def _belongs(self, labels: list[str]) -> None:
@@ -265,11 +268,14 @@ class FitExperiment(Experiment):
             found[same] = Scene(labels, dict(m.set), keys)
         return list(found.values())
 
-    def _tissue_holds(self) -> None:
+    def room(self) -> Room:
+        """The tissues that the parameters make."""
         from livlab.kinds.fit.room import Room
         from livlab.optimise.parameters import ParameterSpace
 
-        Room(self, ParameterSpace(self.parameters())).check_start()
+        scenes = [(scene.set, scene.keys) for scene in self.scenes()]
+        space = ParameterSpace(self.parameters())
+        return Room(self.tissue.build(), self.reading, scenes, space, self.labels(), self.seed)
 
     def parameters(self) -> list[Any]:
         """As `livlab.optimise` takes them, by key.

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from livlab.errors import InputError, LivlabError
 from livlab.fitting.box import between, corners, refused, survey, why_not
+from livlab.model.tissue.readings import Reading
 from livlab.model.tissue.tissue import Tissue, override
 from livlab.optimise.parameters import ParameterSpace
 from livlab.units import FloatArray
-
-if TYPE_CHECKING:
-    from livlab.kinds.fit.config import FitExperiment
 
 EDGE = 1e-3
 """Share of the box from the optimum within which it counts as being where the tissues end."""
@@ -25,16 +23,28 @@ class Room:
 
     Parameters
     ----------
-    config
-        The fit.
-    space
-        Its parameters.
+    tissue, reading
+        The tissue that was measured, and how it is read.
+    scenes
+        Of each scene, what is set in it, and the parameter that each path follows.
+    space, labels
+        The parameters, and what they are called, by name.
+    seed
+        Of the points that are tried by chance.
     """
 
-    def __init__(self, config: FitExperiment, space: ParameterSpace) -> None:
-        tissue = config.tissue.build()
-        self.config, self.space, self.scenes = config, space, config.scenes()
-        self.tissues = [override(tissue, s.set, by="measurement") if s.set else tissue for s in self.scenes]
+    def __init__(
+        self,
+        tissue: Tissue,
+        reading: Reading,
+        scenes: Sequence[tuple[Mapping[str, Any], Mapping[str, str]]],
+        space: ParameterSpace,
+        labels: Mapping[str, str],
+        seed: int,
+    ) -> None:
+        self.reading, self.space, self.labels, self.seed = reading, space, labels, seed
+        self.keys = [keys for _, keys in scenes]
+        self.tissues = [override(tissue, own, by="measurement") if own else tissue for own, _ in scenes]
         self.finite = np.isfinite(space.low) & np.isfinite(space.high)
 
     def __call__(self, values: Mapping[str, float]) -> list[Tissue]:
@@ -46,10 +56,8 @@ class Room:
             There is none.
         """
         return [
-            override(tissue, {path: values[key] for path, key in scene.keys.items()}, by="fit").under(
-                self.config.reading
-            )
-            for tissue, scene in zip(self.tissues, self.scenes, strict=True)
+            override(tissue, {path: values[key] for path, key in keys.items()}, by="fit").under(self.reading)
+            for tissue, keys in zip(self.tissues, self.keys, strict=True)
         ]
 
     def at(self, u: FloatArray) -> list[Tissue]:
@@ -79,7 +87,7 @@ class Room:
         inside = next((c for c in self._likely(start) if why_not(self.at, c) is None), None)
         if inside is None:
             values = self.space.values(self.space.vector({}))
-            given = ", ".join(f"{p.name} = {values[p.key]:g}" for p in self.config.parameter)
+            given = ", ".join(f"{self.labels[key]} = {value:g}" for key, value in values.items())
             raise InputError.of(
                 "parameter", given, f"is no tissue at the start: {error.message.rstrip('.')}",
                 error.remedy or "Mend the path or the start.",
@@ -119,7 +127,7 @@ class Room:
 
     def _check_ends(self, start: FloatArray) -> tuple[float, LivlabError] | None:
         """Share of the box that is no tissue and why, None if there is none."""
-        found = survey(self.at, start, self.config.seed)
+        found = survey(self.at, start, self.seed)
         for limit in found.limits:
             k = limit.dimension
             p = self.space.free[k]
@@ -147,10 +155,10 @@ class Room:
 
     def _likely(self, start: FloatArray) -> list[FloatArray]:
         """Points of the cube that may be tissues where the start is none: halfway, and the corners."""
-        return [0.5 * start, *corners(len(start), self.config.seed), 0.5 * (1.0 + start)]
+        return [0.5 * start, *corners(len(start), self.seed), 0.5 * (1.0 + start)]
 
     def _named(self, k: int) -> str:
-        return self.config.labels()[self.space.names[k]]
+        return self.labels[self.space.names[k]]
 
     def _value(self, k: int, share: float) -> float:
         space = self.space

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from livlab.errors import InputError, RangeError
 from livlab.fitting.fit import fit
 from livlab.fitting.forward import LedgerForward, Response
+from livlab.fitting.idle import idle_parameters
 from livlab.fitting.options import FitOptions
 from livlab.fitting.outcome import FitOutcome
 from livlab.fitting.problem import Problem
@@ -19,7 +20,7 @@ from livlab.fitting.scenes import JointForward
 from livlab.fitting.targets import CurveTarget
 from livlab.kinds.fit import tables
 from livlab.kinds.fit.config import FitExperiment, Measurement, Scene
-from livlab.kinds.fit.room import Room
+from livlab.model.tissue.limits import limits_of
 from livlab.model.tissue.tissue import Tissue, override
 from livlab.optimise import ParameterSpace
 from livlab.units import FloatArray
@@ -123,7 +124,7 @@ class FitSetup:
         targets = {m.label: target(m, curves[m.label], grid, scene_of(scenes, m.label), len(scenes)) for m in measured}
         notes = [_thinned(targets[m.label], curves[m.label], m, grid) for m in measured]
         space = ParameterSpace(config.parameters())
-        walls = Room(config, space).check()
+        walls = config.room().check()
         forward = JointForward([_forward(config, scene) for scene in scenes], [scene.keys for scene in scenes])
         forward.stack(space.values(space.vector({})))
         return cls(config, space, forward, targets, tuple(filter(None, [*notes, walls])), bool(walls))
@@ -157,7 +158,21 @@ class FitSetup:
             level=self.config.level,
         )
         problem = Problem(self.forward, self.fitted, self.space)
-        return fit(problem, options, progress=progress, stopping=stopping)
+        found = fit(problem, options, progress=progress, stopping=stopping)
+        return replace(found, notes=(*found.notes, *self._idle(idle_parameters(problem, found))))
+
+    def _idle(self, sizes: Mapping[str, float]) -> list[str]:
+        """What to say of parameters that move nothing, and why that may be."""
+        made, tissue = [], self.config.tissue.build()
+        for p in self.config.parameter:
+            if p.key in sizes:
+                words = limits_of(tissue, p.path, self.config.reading)
+                made.append(
+                    f"{p.name} moves the curve by less than its error over its whole range, {p.low:g} to {p.high:g} "
+                    f"(by {sizes[p.key]:.2g} standard deviations of all data together): its value means nothing. "
+                    f"{' '.join(words)}".rstrip()
+                )
+        return made
 
     def curves(self, found: FitOutcome) -> tuple[Response, FloatArray]:
         """The model at the optimum, and at the start, nan where the last walk cannot answer for the start."""
@@ -166,7 +181,7 @@ class FitSetup:
 
     def said(self, found: FitOutcome) -> list[str]:
         """What a report must show, by the parameters' labels, once each."""
-        edge = Room(self.config, self.space).ends_at(found.best)
+        edge = self.config.room().ends_at(found.best)
         texts = (*self.notes, *edge, *self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
         return list(dict.fromkeys(tables.named(text, self.config) for text in texts))
 

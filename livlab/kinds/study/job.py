@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +13,11 @@ from livlab.config.errors import nearest
 from livlab.criteria import Claim
 from livlab.errors import InputError, Interrupted
 from livlab.jobs.jobs import Answer, Job, Scheduler, run_jobs
-from livlab.kinds.study import ablation, sensitivity, sweep, tables
+from livlab.kinds.study import ablation, idle, sensitivity, sweep, tables
 from livlab.kinds.study.config import StudyExperiment
+from livlab.kinds.study.design import Design, laid_out
 from livlab.kinds.study.outputs import Number, Outputs
 from livlab.kinds.study.points import Base
-from livlab.kinds.study.room import Design, laid_out
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +63,7 @@ def prepare(config: StudyExperiment) -> Callable[[Run], None]:
         design = laid_out(config, sweep.mapped(config.factor, unit))
         sensitivity.check_blocks(config.sensitivity, len(config.factor), design.empty)
         return lambda run: _sensitivity(run, config, unit, design, outputs, hashes)
-    laid = laid_out(config, sweep.sweep_points(config))
+    laid = laid_out(config, sweep.sweep_points(config), idle.probes(config))
     return lambda run: _sweep(run, config, laid, outputs, hashes)
 
 
@@ -105,24 +106,45 @@ def answers(run: Run, config: StudyExperiment, jobs: Sequence[Job], scheduler: S
     return found
 
 
+@dataclass(frozen=True)
+class _Evaluated:
+    """Curves and outputs of a design's points, what they cost, and how much each factor moves each output."""
+
+    curves: list[Answer]
+    made: list[dict[str, Number]]
+    costs: list[dict[str, object]]
+    moves: dict[str, list[idle.Move]]
+
+
 def _evaluated(
     run: Run, config: StudyExperiment, design: Design, outputs: Outputs, hashes: Mapping[str, str]
-) -> tuple[list[Answer], list[dict[str, Number]], list[dict[str, object]]]:
-    """Curves and outputs of points, and what they cost; failed ones have nan and their reason."""
+) -> _Evaluated:
+    """The points of a design; failed ones have nan and their reason."""
     begun = time.perf_counter()
     if design.empty:
         run.note(design.note())
-    good = design.tissues()
+    good = [*design.tissues(), *design.beside]
     given = answers(run, config, sweep.jobs_of(config, good, hashes))
-    curves = design.whole(sweep.curves_of(config, good, given))
+    found = sweep.curves_of(config, good, given)
+    curves, beside = design.whole(found[: len(good) - len(design.beside)]), found[len(good) - len(design.beside) :]
     wall = time.perf_counter() - begun
-    made = _numbers(config, curves, outputs)
+    made, apart = _numbers(config, curves, outputs), _numbers(config, beside, outputs)
     _tell_failures(run, curves, made, outputs, set(design.empty))
-    return curves, made, tables.costs(config, given, curves, wall)
+    metrics = {o.name: o.metric for o in config.output}
+    moved = idle.moves(config.factor, metrics, [*design.points, *design.beside], [*made, *apart])
+    if _noisy(config) and len(curves) > MOST_BOOTSTRAPPED:
+        moved = {}  # nobody knows the outputs' errors
+    for text in idle.idle(config, moved).values():
+        run.note(text)
+    return _Evaluated(curves, made, tables.costs(config, given, [*curves, *beside], wall), moved)
+
+
+def _noisy(config: StudyExperiment) -> bool:
+    return config.solver.kind in ("walk", "auto")
 
 
 def _numbers(config: StudyExperiment, curves: Sequence[Answer], outputs: Outputs) -> list[dict[str, Number]]:
-    noisy = config.solver.kind in ("walk", "auto") and len(curves) <= MOST_BOOTSTRAPPED
+    noisy = _noisy(config) and len(curves) <= MOST_BOOTSTRAPPED
     made = []
     for c in curves:
         if "error" in c:
@@ -162,17 +184,18 @@ def _tell_failures(
 
 def _sweep(run: Run, config: StudyExperiment, design: Design, outputs: Outputs, hashes: Mapping[str, str]) -> None:
     begun, points = time.perf_counter(), design.points
-    curves, made, costs = _evaluated(run, config, design, outputs, hashes)
+    found = _evaluated(run, config, design, outputs, hashes)
+    curves, made = found.curves, found.made
     run.write_result({"/": tables.result(config, points, curves, made, outputs)})
     claims = []
     seconds = time.perf_counter() - begun
     for c in config.criterion:
         values = _column(made, c.output)
         values = values[np.isfinite(values)]
-        found = None if not len(values) else float(values.min() if c.statistic == "least" else values.max())
-        claims.append(_claim(c, found, 0.0, outputs.missing.get(c.output, "no point has a value"), seconds))
+        value = None if not len(values) else float(values.min() if c.statistic == "least" else values.max())
+        claims.append(_claim(c, value, 0.0, outputs.missing.get(c.output, "no point has a value"), seconds))
     written: dict[str, Table] = {"results.csv": tables.results(config, points, curves, made)}
-    _finish(run, config, outputs, claims, written, costs)
+    _finish(run, config, outputs, claims, written, found.costs, found.moves)
 
 
 def _sensitivity(
@@ -185,7 +208,8 @@ def _sensitivity(
 ) -> None:
     assert config.sensitivity is not None
     begun, points = time.perf_counter(), design.points
-    curves, made, costs = _evaluated(run, config, design, outputs, hashes)
+    found = _evaluated(run, config, design, outputs, hashes)
+    curves, made = found.curves, found.made
     run.write_result({"/": tables.result(config, points, curves, made, outputs)})
     names = [f.name for f in config.factor]
     grown: dict[str, pd.DataFrame] = {}
@@ -206,18 +230,18 @@ def _sensitivity(
     seconds = time.perf_counter() - begun
     claims = []
     for c in config.criterion:
-        found = None
+        value = None
         if c.output in grown:
             frame = grown[c.output]
             if c.statistic == "widest interval":
-                found = sensitivity.settled(config.sensitivity, frame)[0]
+                value = sensitivity.settled(config.sensitivity, frame)[0]
             else:
                 column = c.statistic.replace(" ", "_")
                 last = frame[frame["points"] == frame["points"].max()].set_index("factor")
-                found = float(last[column][c.of]) if column in last else None
+                value = float(last[column][c.of]) if column in last else None
         reason = why.get(c.output, f"{config.sensitivity.estimator} gives no {c.statistic}")
-        claims.append(_claim(c, found, 0.0, reason, seconds))
-    _finish(run, config, outputs, claims, written, costs)
+        claims.append(_claim(c, value, 0.0, reason, seconds))
+    _finish(run, config, outputs, claims, written, found.costs, found.moves)
 
 
 def _ablation(
@@ -241,7 +265,7 @@ def _ablation(
     curves = [given[c.same_as or c.label] for c in cases]
     made = _numbers(config, curves, outputs)
     _tell_failures(run, curves, made, outputs)
-    for text in tables.shared_notes(own, given):
+    for text in (*tables.shared_notes(own, given), *tables.idle_notes(config, cases, made)):
         run.note(text)
     points: list[sweep.Point] = [{} for _ in cases]
     labels = [c.label for c in cases]
@@ -278,12 +302,13 @@ def _finish(
     claims: Sequence[Claim],
     written: dict[str, Table],
     costs: list[dict[str, object]],
+    moves: Mapping[str, Sequence[idle.Move]] | None = None,
 ) -> None:
     from livlab.kinds.shared import tissue_tables
 
     tissue, reading = config.tissue.build(), (config.reading,)
     written |= {
-        "factors.csv": tables.factors(config),
+        "factors.csv": tables.factors(config, moves or {}),
         "tissue.csv": tissue_tables.tissue(tissue, reading),
         "provenance.csv": tissue_tables.provenance(tissue, reading, config.wavelengths.grid(), outputs.known),
     }

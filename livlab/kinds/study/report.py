@@ -33,6 +33,7 @@ def _points(run: RunData, pictures: Pictures) -> list[ReportSection]:
     logarithmic = [str(t) == "log" for t in factors["transform"]]
     section = ReportSection("points", "The points")
     section.content.append(_varied(factors))
+    section.content.extend(Text(str(t)) for t in factors.get("told", pd.Series(dtype=str)).dropna())
     for k in _telling(run.table("indices"), factors):
         name = str(factors["factor"].iloc[k])
         caption = f"Curves of all points, coloured by {name}."
@@ -79,7 +80,10 @@ def _varied(factors: pd.DataFrame) -> object:
         ],
         unit=["" if pd.isna(u) else str(u) for u in factors["unit"]],
     )
-    return from_frame(shown, "What varies.", only=["factor", "range", "unit", "path"])
+    if "moves" not in shown or not shown["moves"].notna().any():  # a run made before it was told
+        return from_frame(shown, "What varies.", only=["factor", "range", "unit", "path"])
+    caption = "What varies, and whether it moves any output by more than its error, or than a thousandth of its level."
+    return from_frame(shown, caption, only=["factor", "range", "unit", "path", "moves"])
 
 
 def _sensitivity(run: RunData, pictures: Pictures) -> list[ReportSection]:
@@ -183,7 +187,7 @@ def _ablation(run: RunData, pictures: Pictures) -> list[ReportSection]:
     changes.content.append(pictures.add("cases", figure, f"Every case that differs, ±2 standard errors.{shaded}"))
     captions = {
         "option": "Options of the readings, each changed alone. A change of 0 is exact: the scene is the same. "
-        "Shaded: a change of more than three standard errors.",
+        "Shaded: a change of more than three standard errors, and of a thousandth of the output's level.",
         "path": "All the way, an option at a time; each change is against the line before.",
         "effect": "Effects left out, each alone.",
     }
@@ -219,6 +223,8 @@ def _changed(part: pd.DataFrame, outputs: list[str]) -> pd.DataFrame:
             "0" if c == 0.0 and e == 0.0 else _signed(c, e) for c, e in zip(change, error, strict=True)
         ]
         moves |= np.abs(change) > 3 * error
+    if "moves" in part:
+        moves = (part["moves"] == "yes").to_numpy()
     made["seconds"] = [number(v, 3) if pd.notna(v) else "–" for v in part["seconds"]]
     made["moves"] = moves
     return made

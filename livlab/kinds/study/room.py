@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from livlab.kinds.study.config_parts import Factor
 from livlab.kinds.study.points import Base
 
 if TYPE_CHECKING:
-    from livlab.kinds.study.config import StudyExperiment
     from livlab.units import FloatArray
 
 MOST_WORDS = 64
@@ -112,59 +110,4 @@ class StudyRoom:
                 yield {**fixed, **{f.path: f.at(float(x)) for f, x in zip(self.numbers, u, strict=True)}}
 
 
-@dataclass(frozen=True)
-class Design:
-    """Points of a study, and which of them are no tissue.
-
-    Attributes
-    ----------
-    points
-        Value by path.
-    empty
-        What is wrong with those that are no tissue, by number.
-    """
-
-    points: list[dict[str, Any]]
-    empty: Mapping[int, LivlabError]
-
-    def tissues(self) -> list[dict[str, Any]]:
-        """The points that are tissues."""
-        return [point for k, point in enumerate(self.points) if k not in self.empty]
-
-    def whole(self, curves: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-        """Curves of the tissues with those of all points, which say why there is none."""
-        given = iter(curves)
-        return [
-            {"error": self.empty[k].message, "seconds": 0.0} if k in self.empty else next(given)
-            for k in range(len(self.points))
-        ]
-
-    def note(self) -> str:
-        """What a report must say of the points that are no tissue."""
-        first = next(iter(self.empty.values()))
-        return (
-            f"{len(self.empty)} of {len(self.points)} points are no tissue: they were not simulated, and stand in "
-            f"results.csv with their reason. The first: {first.message} {first.remedy}".rstrip()
-        )
-
-
-def laid_out(config: StudyExperiment, points: list[dict[str, Any]]) -> Design:
-    """Points of a study, those that are no tissue told apart.
-
-    Raises
-    ------
-    InputError
-        None is a tissue.
-    """
-    room = StudyRoom(Base(config.tissue.build(), config.reading, config.instrument), config.factor)
-    empty = room.empty(points)
-    if len(empty) == len(points):
-        first = next(iter(empty.values()))
-        raise InputError.of(
-            "factor", f"{len(points)} points", f"none is a tissue; the first: {first.message.rstrip('.')}",
-            first.remedy or "Mend the tissue, or the factors' bounds.",
-        )  # fmt: skip
-    return Design(points, empty)
-
-
-__all__ = ["Design", "StudyRoom", "laid_out"]
+__all__ = ["StudyRoom"]

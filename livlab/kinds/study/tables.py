@@ -13,6 +13,7 @@ from livlab.jobs.jobs import Answer
 from livlab.kinds.study.ablation import AblationCase, distance
 from livlab.kinds.study.config import StudyExperiment
 from livlab.kinds.study.config_parts import Sensitivity, Target
+from livlab.kinds.study.idle import Move, changes_nothing, idle
 from livlab.kinds.study.outputs import Number, Outputs, finite
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 Table = tuple[tuple[str, ...], list[dict[str, object]]]
 COSTS = ("stage", "seconds", "evaluations", "samples", "solver")
 NOT_REACHED = "the wanted standard error was not reached at some wavelengths; the errors shown say by how much"
+MOST_NAMED = 8
+"""Cases that a sentence names."""
+
 _OWN = ("case", "label", "seconds", "error")
 
 
@@ -96,8 +100,9 @@ def results(
     return (*columns, *(f"{n} error" for n in errors), "seconds", "error"), rows
 
 
-def factors(config: StudyExperiment) -> Table:
-    """What varies, and between which bounds."""
+def factors(config: StudyExperiment, moved: Mapping[str, Sequence[Move]]) -> Table:
+    """What varies, between which bounds, whether it moves anything, and what is to be said if it does not."""
+    told = idle(config, moved)
     rows: list[dict[str, object]] = [
         {
             "factor": f.name,
@@ -108,10 +113,14 @@ def factors(config: StudyExperiment) -> Table:
             "high": f.high,
             "transform": "" if f.categorical else f.transform,
             "values": ", ".join(str(v) for v in f.values or ()),
+            "moves": ("no" if f.name in told else "yes") if moved.get(f.name) else "",
+            "largest_move": max((m.share for m in moved.get(f.name, ())), default=None),
+            "told": told.get(f.name, ""),
         }
         for f in config.factor
     ]
-    return ("factor", "column", "path", "unit", "low", "high", "transform", "values"), rows
+    columns = ("factor", "column", "path", "unit", "low", "high", "transform", "values", "moves", "largest_move")
+    return (*columns, "told"), rows
 
 
 def indices(grown: Mapping[str, pd.DataFrame]) -> Table:
@@ -159,6 +168,7 @@ def ablation(
     assert config.ablation is not None
     names, target = [o.name for o in config.output], config.ablation.target
     at = {c.label: m for c, m in zip(cases, made, strict=True)}
+    still = _still(config, cases, made)
     rows: list[dict[str, object]] = []
     for case, curve, numbers in zip(cases, curves, made, strict=True):
         base = at[case.base]
@@ -170,6 +180,7 @@ def ablation(
             "option": case.option,
             "choice": case.choice,
             "same_as": case.same_as,
+            "moves": "" if case.group == "base" else "no" if case.label in still else "yes",
             "seconds": None if case.same_as else float(curve["seconds"]),
             "solving_seconds": None if case.same_as else curve.get("solving_seconds"),
             "samples": None if case.same_as else curve.get("samples"),
@@ -187,6 +198,36 @@ def ablation(
         row["worst off"] = finite(max(far.values())) if far and all(np.isfinite(list(far.values()))) else None
         rows.append(row)
     return tuple(rows[0]), rows
+
+
+def _still(config: StudyExperiment, cases: Sequence[AblationCase], made: Sequence[Mapping[str, Number]]) -> list[str]:
+    """Labels of cases that move no output by more than its error, or than a thousandth of its level."""
+    at = {c.label: m for c, m in zip(cases, made, strict=True)}
+    names = [o.name for o in config.output]
+    level = {n: max((abs(m[n].value) for m in made if np.isfinite(m[n].value)), default=0.0) for n in names}
+
+    def nothing(case: AblationCase, n: str) -> bool:
+        here, base = at[case.label][n], at[case.base][n]
+        change, error = here.value - base.value, float(np.hypot(here.standard_error, base.standard_error))
+        twin = (case.same_as or case.label) == case.base
+        return twin or bool(np.isfinite(change) and np.isfinite(error) and changes_nothing(change, error, level[n]))
+
+    return [c.label for c in cases if c.group != "base" and all(nothing(c, n) for n in names)]
+
+
+def idle_notes(
+    config: StudyExperiment, cases: Sequence[AblationCase], made: Sequence[Mapping[str, Number]]
+) -> list[str]:
+    """What to say of cases that change the scene and move no output by more than its error."""
+    still = set(_still(config, cases, made))
+    told = [c.label for c in cases if c.label in still and not c.same_as]
+    if not told:
+        return []
+    more = f" and {len(told) - MOST_NAMED} more" if len(told) > MOST_NAMED else ""
+    return [
+        f"{len(told)} of {len(cases)} cases change the scene and move no output by more than its error (three standard "
+        f"errors, or a thousandth of its level): {', '.join(told[:MOST_NAMED])}{more}."
+    ]
 
 
 def targets(wanted: Sequence[Target]) -> Table:

@@ -249,6 +249,18 @@ class ElementBase(Spec):
     def reference_values(cls) -> tuple[ReferenceValue, ...]:
         """Inputs and what must come out, from closed forms or publications."""
 
+    def limits(self, name: str, key: str) -> str:
+        """What a value does not do in this model, as a sentence; empty where there is nothing to say.
+
+        Parameters
+        ----------
+        name
+            What the layer calls the element.
+        key
+            Path of the value below the element.
+        """
+        return ""
+
     @property
     def share(self) -> float:
         """Volume fraction that counts in the layer's budget."""
@@ -313,6 +325,12 @@ class Absorber(ElementBase):
 
     def movable_scattering(self) -> None:
         """None: it does not scatter."""
+
+    def limits(self, name: str, key: str) -> str:
+        """That it does not scatter, whatever its values."""
+        return (
+            f"In this model {name.replace('_', ' ')} only absorbs and does not scatter: more of it adds no particles."
+        )
 
 
 class Scatterer(ElementBase):

@@ -100,6 +100,13 @@ class Mixture(Absorber):
             yield Value(f"parts.{part}.share", f"{part} share", share, self.units["share"], f"share of {part}")
             yield Value(f"parts.{part}.spectrum", f"{part} spectrum", self.parts[part].spectrum)
 
+    def limits(self, name: str, key: str) -> str:
+        """That its parts only absorb: fat adds no droplets."""
+        words = key.split(".")
+        if len(words) == 3 and words[0] == "parts":
+            return f"In this model {words[1]} only absorbs and does not scatter: a larger share of it adds no droplets."
+        return super().limits(name, key)
+
     def _spectra(self, setting: Setting) -> dict[str, FloatArray]:
         return {n: p.spectrum.per_mm(setting.wavelength_nm, setting.note) for n, p in self.parts.items()}
 

@@ -35,6 +35,12 @@ class ReducedScatterer(Scatterer):
         """Nothing, whatever the reading."""
         return Remarks()
 
+    def limits(self, name: str, key: str) -> str:
+        """What its anisotropy does."""
+        if key != "anisotropy":
+            return ""
+        return f"In this model µs' of {name} is given and kept: its anisotropy only changes how it is made up."
+
     def scattering(self, name: str, reduced_per_cm: FloatArray, setting: Setting) -> Interaction:
         """The element from its µs' in 1/cm."""
         # A uniform direction has g = 0, so µs = µs' there: the reduced coefficient is what was published.

@@ -101,3 +101,18 @@ def test_a_box_that_is_partly_no_tissue_is_searched_and_told():
     assert "cost infinity" in told
     assert not any("ConfigError" in str(x) for x in found.outcome.path["value"])
     assert np.isinf(found.outcome.path["value"]).any() or found.outcome.searches[0].failures == 0
+
+
+def test_parameters_that_move_nothing_are_told_with_the_reason():
+    """Fat only absorbs, and the reading does without the hepatocytes; blood moves the curve and is not told."""
+    truth = livlab.spectrum("liver", "measured", GRID, variant="parenchyma_only", solver="adding-doubling")
+    rng = np.random.default_rng(7)
+    noisy = livlab.Spectrum(GRID, truth.value * (1 + 0.01 * rng.standard_normal(len(GRID))), 0.01 * truth.value)
+    fat = LIVER + "lipid_and_water.parts.lipid.share"
+    bounds = {LIVER + "blood.fraction": (0.01, 0.1), fat: (0.0, 0.4), LIVER + "hepatocyte.fraction": (0.3, 0.9)}
+    found = livlab.fit(noisy, bounds, variant="parenchyma_only", loss="chi2", scaling="none",
+                       search={"standard_error": 5e-3, "most_recordings": 2})  # fmt: skip
+    told = [n for n in found.notes if "moves the curve by less than its error over its whole range" in n]
+    assert [n.split(" moves")[0] for n in told] == ["lipid share", "hepatocyte fraction"]
+    assert "adds no droplets" in told[0]
+    assert "does without hepatocyte" in told[1]

@@ -118,6 +118,8 @@ def test_an_ablation_knows_what_changes_nothing(tmp_path: Path) -> None:
     assert table.loc["thesis", "mean"] + total == pytest.approx(alone["mean"].iloc[0], rel=1e-6)
     effects = table[table["group"] == "effect"]
     assert table.loc["thesis without blood", "mean change"] > 0.0  # without its absorber it is brighter
+    assert table.loc["thesis without blood", "moves"] == "yes"
+    assert (table.loc[table["same_as"].notna() & (table["group"] == "option"), "moves"] == "no").all()
     assert set(effects["option"]) >= {"blood", "surface-fresnel"}
     assert table["mean off"].to_numpy() == pytest.approx(np.abs(table["mean"] - 0.3) / 0.1, rel=1e-6)
 
