@@ -66,7 +66,7 @@ def session(folder: Path, rng: np.random.Generator) -> list[np.ndarray]:
     shoot(np.zeros_like(outline), "dark.tif")
     shoot(np.full_like(outline, 0.99 / math.pi), "white.tif")
     data = pack(extract_samples(open_rig(folder)).samples)
-    found = fit(data, "plastic", starts=1, warn=False)
+    found = fit(data, "plastic", starts=1, widening=False, warn=False)
     table = found.table.loc[NAMES]
     problem = BrdfProblem(found.layout, data, "cosine-weighted-l2")
     other = spread(problem, found.values, resampling="tiles", replicates=0, level=found.level, seed=0).robust.sd

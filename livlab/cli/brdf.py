@@ -120,13 +120,20 @@ def compare(
     loss: Loss = DEFAULT_LOSS,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Rank models on one file, or compare files with the first one."""
+    """Rank models on one file and say which describe it to the noise, or compare files with the first one."""
     from livlab.brdf.fit import fit as fits
+    from livlab.brdf.fit.result import adequate_in_words
 
     if len(files) == 1 and models:
         data = _samples(files[0])
-        table, _ = fits.compare(data, models, loss=_loss(loss), warn=False)
+        table, found = fits.compare(data, models, loss=_loss(loss), warn=False)
+        if as_json:
+            table = table.assign(
+                misfit=[found[str(n)].misfit.words for n in table.index], noise_floor=table.attrs["noise_floor"]
+            )
         _show_table(table.reset_index(), f"{len(models)} models on {files[0].name}, {loss}", as_json=as_json)
+        for line in [] if as_json else adequate_in_words(found):
+            typer.echo(line)
         return
     if len(files) < 2 or models:
         raise InputError.of(

@@ -90,9 +90,7 @@ class Misfit:
     @property
     def overstated(self) -> bool:
         """Whether the residuals are smaller than the stated noise allows: errors stated too large, or shared by all."""
-        from scipy.special import gammainc
-
-        return self.known and self.dof > 0 and float(gammainc(0.5 * self.dof, 0.5 * self.chi2)) < LIMIT
+        return self.known and self.dof > 0 and _too_small(self.chi2, self.dof)
 
     @property
     def scale(self) -> float:
@@ -185,11 +183,16 @@ def misfit(
         r = _normal_deviates(r, left, np.asarray(noise_dof, dtype=np.float64))
     dof, chi2 = float(r.size - len(q)), float(np.einsum("n,n->", r, r))
     size = math.sqrt(chi2 / dof)
-    found = [by_groups(g, r, q, left, share, 1.0 if known else max(size, 1e-300)) for g in groups]
+    unit = 1.0 if known else max(size, 1e-300)
+    # What lies far below the noise is no matter, patterned or not: errors of rounding and quadrature.
+    least = 1.0 if known and _too_small(chi2, dof) else 0.0
+    found = [by_groups(g, r, q, left, share, unit, least) for g in groups]
     told = [s for s, _ in found if math.isfinite(s.p)]
     if series:
         told.append(Structure("runs", runs_p([np.asarray(r[np.asarray(index)]) for index in series])))
-    where, where_ratio = max((peak for _, peak in found), key=lambda peak: peak[1], default=("", math.nan))
+    weights = [0.5 if g.fine else 1.0 for g in groups]
+    peaks = [(w * peak[1], peak) for w, (_, peak) in zip(weights, found, strict=True) if math.isfinite(peak[1])]
+    where, where_ratio = max(peaks, key=lambda one: one[0])[1] if peaks else ("", math.nan)
     return Misfit(
         chi2=chi2,
         dof=dof,
@@ -237,6 +240,12 @@ def _normal_deviates(r: FloatArray, left: FloatArray, dof: FloatArray) -> FloatA
     return np.asarray(-np.sign(r) * ndtri(tail) * kept)
 
 
+def _too_small(chi2: float, dof: float) -> bool:
+    from scipy.special import gammainc
+
+    return float(gammainc(0.5 * dof, 0.5 * chi2)) < LIMIT
+
+
 def _chance(chi2: float, dof: float, noise_dof: float) -> float:
     from scipy.special import fdtrc, gammaincc
 
@@ -248,10 +257,10 @@ def _chance(chi2: float, dof: float, noise_dof: float) -> float:
 def times(ratio: float) -> str:
     """A ratio as a factor: 9, 1.04, .37.
 
-    >>> times(9.123), times(1.0432), times(583.7)
-    ('9.1', '1.04', '584')
+    >>> times(9.123), times(1.0432), times(5837.0)
+    ('9.1', '1.04', '5840')
     """
-    return f"{ratio:.3g}" if ratio < 2 or ratio >= 100 else f"{ratio:.2g}"
+    return f"{float(f'{ratio:.3g}'):.0f}" if ratio >= 100 else f"{ratio:.3g}" if ratio < 2 else f"{ratio:.2g}"
 
 
 def chance(p: float) -> str:
@@ -279,8 +288,8 @@ def _in_words(m: Misfit) -> str:
         return f"the noise is not known ({m.noise}): whether the model fits cannot be told{rest}"
     if not m.told:
         more = ""
-        if m.overstated:
-            more = f"; the stated errors are larger than the scatter, {times(1 / max(m.ratio, 1e-12))} x"
+        if m.overstated and m.ratio < 0.9:
+            more = f"; the noise ({m.noise}) is {times(1 / max(m.ratio, 1e-9))} x larger than what scatters"
         return f"the model fits to the noise: {over}{more}"
     if m.known and m.p < LIMIT:
         at = f" {m.where}" if m.where and m.where_ratio > m.ratio else ""

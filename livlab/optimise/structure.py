@@ -29,11 +29,14 @@ class Grouping:
         (n,) number of each residual's group; −1 for none.
     labels
         How a group is called in a sentence, with its preposition: "at light 4", "near 630 nm".
+    fine
+        Whether its groups are so small that one is named only if it is twice as bad as any of another grouping.
     """
 
     name: str
     index: npt.NDArray[np.intp]
     labels: tuple[str, ...]
+    fine: bool = False
 
     @classmethod
     def of(cls, name: str, labels: ArrayLike, words: str = "at {}") -> Grouping:
@@ -113,7 +116,7 @@ def runs_p(series: Sequence[FloatArray]) -> float:
 
 
 def by_groups(
-    g: Grouping, r: FloatArray, q: FloatArray, left: FloatArray, share: float, unit: float
+    g: Grouping, r: FloatArray, q: FloatArray, left: FloatArray, share: float, unit: float, least: float = 0.0
 ) -> tuple[Structure, tuple[str, float]]:
     """The F test of one offset a group, and the group with the largest residuals beyond chance.
 
@@ -131,6 +134,8 @@ def by_groups(
         Independent residuals over all.
     unit
         Size of one residual's noise.
+    least
+        Variance below which that of the rest is not believed: the noise's own, where residuals lie far below it.
     """
     from scipy.special import fdtrc
 
@@ -156,7 +161,7 @@ def by_groups(
     total = float(np.einsum("n,n->", r, r))
     if top < 1 or rest < 1 or total <= 0:
         return Structure(g.name, math.nan, where, ratio, int(some.sum()), max(top, 0)), (where, ratio)
-    f = explained / top / max((total - explained) / rest, 1e-300 * total)
+    f = explained / top / max((total - explained) / rest, least, 1e-300 * total)
     p = float(fdtrc(top, max(rest * share, 1.0), f * share))
     return Structure(g.name, p, where, ratio, int(some.sum()), top), (where, ratio)
 

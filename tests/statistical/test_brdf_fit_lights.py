@@ -52,7 +52,7 @@ def repeated(draws, lights, seed):
     rows = []
     for k in range(draws):
         data = pack(shoot(rng, lights), None)
-        found = fit(data, "lambert+ggx", starts=1, start=TRUTH, replicates=300, seed=k, warn=False)
+        found = fit(data, "lambert+ggx", starts=1, start=TRUTH, replicates=300, widening=False, seed=k, warn=False)
         assert found.resampled.startswith(f"whole lights ({lights})")
         table = found.table.loc[list(TRUTH)]
         problem = BrdfProblem(found.layout, data, "cosine-weighted-l2")

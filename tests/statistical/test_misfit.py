@@ -209,7 +209,7 @@ def test_noise_of_neighbours_and_its_degrees():
 def test_words_and_record():
     z = np.linspace(-1, 1, 50)
     m = misfit(0.01 * np.sign(np.sin(np.arange(50.0))) * (1 + z), relative=0.05)
-    assert m.overstated and "larger than the scatter" in m.words and m.adequate and m.scale == 1
+    assert m.overstated and "x larger than what scatters" in m.words and m.adequate and m.scale == 1
     m = misfit(9 * np.random.default_rng(0).standard_normal(50), relative=0.046)
     assert m.told and m.scale == m.ratio and "residual 4.6 %" in m.words and "x the noise" in m.words
     record = m.to_dict()

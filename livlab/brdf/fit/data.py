@@ -12,6 +12,7 @@ import xarray as xr
 
 from livlab.brdf.angles import half_angles
 from livlab.brdf.fit import blocks
+from livlab.brdf.fit.noise import NEIGHBOURS, REPEATS, STATED, UNKNOWN, of_neighbours, of_repeats
 from livlab.brdf.geometry import Camera, Light, Sphere
 from livlab.brdf.models.lobes import Cosines
 from livlab.brdf.rig import rig_of
@@ -25,6 +26,9 @@ Footprint = Literal["auto"] | int | None
 
 TILE = 16
 """Side in pixels of the blocks within which residuals are taken to hang together."""
+
+ROWS = ("value", "error", "noise", "cos_i", "pixels", "light", "tile", "theta_h", "theta_d", "phi_h")
+"""What `Packed` has one row a sample of."""
 
 DIRECTIONS = "directions"
 """Footprint, in words, of samples that are no pixels."""
@@ -50,8 +54,12 @@ class Packed:
         First point of each sample.
     light, tile : (n,) int arrays
         Light's number, and number of the patch of picture (within its light).
-    theta_h, theta_d : (n,) arrays
+    theta_h, theta_d, phi_h : (n,) arrays
         Angles of the samples.
+    noise : (n, channels) array
+        Standard error, stated or estimated, 1/sr; NaN if unknown.
+    noise_from, noise_dof
+        Where the noise is from, in words, and degrees of freedom of an estimate.
     channels : tuple
         Labels.
     dropped : int
@@ -75,7 +83,11 @@ class Packed:
     tile: IntArray
     theta_h: FloatArray
     theta_d: FloatArray
+    phi_h: FloatArray
+    noise: FloatArray
     channels: tuple[str, ...]
+    noise_from: str = STATED
+    noise_dof: float = np.inf
     source_rad: float = 0.0
     footprint: str = DIRECTIONS
     dropped: int = 0
@@ -98,23 +110,23 @@ class Packed:
         counts = np.diff(np.append(self.first, self.weight.size))[index]
         begins = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.intp)
         points = np.repeat(self.first[index] - begins, counts) + np.arange(int(counts.sum()))
-        rows = ("value", "error", "cos_i", "pixels", "light", "tile", "theta_h", "theta_d")
         return replace(
             self,
             at=Cosines(*(np.ascontiguousarray(c[points]) for c in self.at)),
             weight=self.weight[points],
             first=begins,
-            **{name: getattr(self, name)[index] for name in rows},
+            **{name: getattr(self, name)[index] for name in ROWS},
         )
 
 
 class _Raw(NamedTuple):
-    """Samples as they came: directions (n, 3), values and errors (n, channels), and which of them can be used."""
+    """Samples as they came: directions (n, 3), values, errors, noise (n, channels), and which of them can be used."""
 
     wi: FloatArray
     wo: FloatArray
     value: FloatArray
     error: FloatArray
+    noise: FloatArray
     keep: IntArray
     channels: tuple[str, ...]
 
@@ -129,6 +141,7 @@ class _Lit(NamedTuple):
     received: FloatArray
     theta_h: FloatArray
     theta_d: FloatArray
+    phi_h: FloatArray
 
 
 def pack(samples: xr.Dataset | Iterable[xr.Dataset], footprint: Footprint = "auto") -> Packed:
@@ -181,8 +194,13 @@ def _pack_one(samples: xr.Dataset, footprint: Footprint) -> Packed:
     channels = channels or tuple(str(c) for c in range(value.shape[1]))
     names = ("light", "row", "column")
     if "camera_matrix" not in samples or not all(n in samples.coords for n in names):
-        return _plain(samples, _Raw(wi, wo, value, error, keep, channels), footprint)
-    return _pictured(samples, _Raw(wi, wo, value, error, keep, channels), footprint)
+        return _plain(samples, _Raw(wi, wo, value, error, error, keep, channels), footprint)
+    return _pictured(samples, _Raw(wi, wo, value, error, error, keep, channels), footprint)
+
+
+def _stated(error: FloatArray) -> bool:
+    """Whether nine samples of ten have a standard error; the rest is then not judged."""
+    return error.size > 0 and bool(np.mean(np.isfinite(error) & (error > 0)) > 0.9)
 
 
 def _plain(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
@@ -198,9 +216,14 @@ def _plain(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
     notes = (
         ("the samples carry no camera: the model is taken at their directions, not over pixels",) if footprint else ()
     )
+    found = None if _stated(raw.error[keep]) else of_repeats(wi, wo, raw.value[keep] * at.i[:, None])
+    known = raw.error[keep] if found is None else found[0] / at.i[:, None]
     return Packed(
         value=raw.value[keep],
         error=raw.error[keep],
+        noise=known,
+        noise_from=REPEATS if found else STATED if _stated(known) else UNKNOWN,
+        noise_dof=found[1] if found else np.inf,
         cos_i=at.i,
         pixels=np.ones(keep.size),
         at=at,
@@ -210,6 +233,7 @@ def _plain(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
         tile=tile.astype(np.intp),
         theta_h=half.theta_h,
         theta_d=half.theta_d,
+        phi_h=half.phi_h,
         channels=raw.channels,
         dropped=len(raw.value) - keep.size,
         notes=notes,
@@ -224,14 +248,24 @@ def _pictured(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
     radius = float(np.sqrt(len(np.unique(row * camera.width + column)) / np.pi) if known is None else known)
     angles = [samples[n].values for n in ("theta_h", "theta_d")] if "theta_d" in samples.coords else None
     parts: list[Packed] = []
+    worth = 0.0
+    stated = _stated(raw.error[raw.keep])
+    raw = raw if stated else raw._replace(noise=np.full(raw.error.shape, np.nan))
     for number in np.unique(light_of[raw.keep]):
         mine = raw.keep[light_of[raw.keep] == number]
         # A data set of one light keeps the light's number, but its rig holds that light alone.
         light = lights[0] if len(lights) == 1 else lights[int(number)]
         found = half_angles(raw.wi[mine], raw.wo[mine])[:2] if angles is None else (a[mine] for a in angles)
         theta_h, theta_d = found
+        phi_h = np.arctan2(*(raw.wi[mine, k] + raw.wo[mine, k] for k in (1, 0)))
         cos_i, cos_o = raw.wi[mine, 2], raw.wo[mine, 2]
-        lit = _Lit(int(number), light, mine, cos_i, cos_i * _scale(light, sphere, cos_i), theta_h, theta_d)
+        received = cos_i * _scale(light, sphere, cos_i)
+        lit = _Lit(int(number), light, mine, cos_i, received, theta_h, theta_d, phi_h)
+        if not stated:
+            read = of_neighbours(row[mine], column[mine], raw.value[mine] * received[:, None])
+            if read is not None:
+                worth += read[1]
+                raw.noise[mine] = read[0] / received[:, None]
         squares = (
             blocks.plan(row[mine], column[mine], theta_h, cos_i, cos_o, radius)
             if footprint == "auto"
@@ -242,6 +276,9 @@ def _pictured(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
     solid = np.asarray(samples["source_solid_angle"].values) if "source_solid_angle" in samples.coords else np.zeros(1)
     radius = float(np.sqrt(max(np.nanmax(solid, initial=0.0), 0.0) / np.pi))
     dropped = len(raw.value) - raw.keep.size
+    if not stated:
+        known = NEIGHBOURS if _stated(packed.noise) else UNKNOWN
+        packed = replace(packed, noise_from=known, noise_dof=worth or np.inf)
     return replace(packed, dropped=dropped, footprint=in_words(footprint), source_rad=radius)
 
 
@@ -264,6 +301,7 @@ def _squares(raw: _Raw, lit: _Lit, square: blocks.Square, rig: tuple[Camera, Sph
     return Packed(
         value=np.einsum("nk,nkc->nc", share, raw.value[members]),
         error=np.sqrt(np.einsum("nk,nkc->nc", share**2, raw.error[members] ** 2)),
+        noise=np.sqrt(np.einsum("nk,nkc->nc", share**2, raw.noise[members] ** 2)),
         cos_i=lit.cos_i[square.members].mean(axis=1),
         pixels=np.full(n, float(square.side**2)),
         at=Cosines(points.cos_i.ravel(), points.cos_o.ravel(), points.cos_io.ravel()),
@@ -273,6 +311,7 @@ def _squares(raw: _Raw, lit: _Lit, square: blocks.Square, rig: tuple[Camera, Sph
         tile=(lit.number << 40) + tile.astype(np.intp),
         theta_h=lit.theta_h[square.members].mean(axis=1),
         theta_d=lit.theta_d[square.members].mean(axis=1),
+        phi_h=lit.phi_h[square.members[:, 0]],
         channels=raw.channels,
     )
 
@@ -300,12 +339,14 @@ def _joined(parts: list[Packed]) -> Packed:
     if len({p.channels for p in parts}) > 1:
         raise InputError.of("samples", [p.channels for p in parts[:3]], "have different channels", "Use one rig.")
     sizes = np.cumsum([0] + [p.weight.size for p in parts[:-1]])
-    rows = ("value", "error", "cos_i", "pixels", "weight", "light", "tile", "theta_h", "theta_d")
-    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in rows}
+    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in (*ROWS, "weight")}
+    sources = {p.noise_from for p in parts}
     return Packed(
         at=Cosines(*(np.concatenate([p.at[k] for p in parts]) for k in range(3))),
         first=np.concatenate([p.first + s for p, s in zip(parts, sizes, strict=True)]),
         channels=parts[0].channels,
+        noise_from=parts[0].noise_from if len(sources) == 1 else UNKNOWN,
+        noise_dof=sum(p.noise_dof for p in parts),
         source_rad=max(p.source_rad for p in parts),
         footprint=parts[0].footprint,
         dropped=sum(p.dropped for p in parts),

@@ -15,14 +15,17 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from livlab.brdf.fit.data import Footprint, Packed, pack
+from livlab.brdf.fit.judge import groupings, judge, noise_floor
 from livlab.brdf.fit.loss import LossName
 from livlab.brdf.fit.problem import BrdfProblem, Choices, Layout, Sharing
 from livlab.brdf.fit.report import combinations_in_words, parameter_table, sentences
 from livlab.brdf.fit.result import BrdfFit
-from livlab.brdf.fit.spread import Resampling, Spread, spread
+from livlab.brdf.fit.spread import Normal, Resampling, Spread, blocks_of, spread
+from livlab.brdf.fit.widen import at_bounds, largest, widen
 from livlab.brdf.models.model import Model, model
 from livlab.errors import InputError, Interrupted
 from livlab.optimise import FitWarning, OptimiseResult, ParameterSpace, identifiability, minimise
+from livlab.optimise.misfit import Misfit
 
 __all__ = ["BrdfFit", "Packed", "compare", "fit", "pack"]
 
@@ -53,6 +56,7 @@ def fit(
     bootstrap: Resampling = "auto",
     replicates: int = 400,
     level: float = 0.6827,
+    widening: bool = True,
     max_seconds: float = math.inf,
     seed: int = 0,
     warn: bool = True,
@@ -87,6 +91,9 @@ def fit(
     bootstrap, replicates, level
         What sd and intervals take as independent ("auto": whole lights from six on, else patches of pictures), how
         often it is drawn, and the intervals' coverage. None as "auto", with Student's intervals.
+    widening
+        Whether sd and intervals are widened where the model misses the data, see `livlab.brdf.fit.widen.widen`; if not,
+        they are of the scatter alone. The misfit is told either way.
     max_seconds
         Limit of the search.
     seed
@@ -115,28 +122,35 @@ def fit(
     # The last stage began at its optimum; what counts is where the search began.
     found = replace(found, status=layout.space.status(layout.space.vector(found.best), layout.space.start))
     sure = spread(problem, found.best, resampling=bootstrap, replicates=replicates, level=level, seed=seed)
-    result = _result(problem, loss, found, tried, sure, level=level, begun=begun)
+    rms = _rms(problem, found.best)
+    missed = judge(problem, found.best, [str(n) for n in sure.robust.matrix.index], rms[1])
+    normal = Normal(problem, found.best)
+    if widening and missed.told:
+        sure = widen(normal, found.best, sure, groupings(data))
+    sure = at_bounds(normal, found.best, sure, blocks_of(problem, bootstrap), level)
+    result = _result(problem, loss, _Found(found, tried, sure, missed, rms), level=level, begun=begun)
     if warn:
         for note in result.warnings:
             warnings.warn(note, FitWarning, stacklevel=2)
     return result
 
 
-def _result(
-    problem: BrdfProblem,
-    loss: LossName,
-    found: OptimiseResult,
-    tried: pd.DataFrame,
-    sure: Spread,
-    *,
-    level: float,
-    begun: float,
-) -> BrdfFit:
+class _Found(NamedTuple):
+    """An optimum, the starts tried, how sure it is, how far it misses the data, and (absolute, relative) residual."""
+
+    search: OptimiseResult
+    tried: pd.DataFrame
+    sure: Spread
+    missed: Misfit
+    rms: tuple[float, float]
+
+
+def _result(problem: BrdfProblem, loss: LossName, at: _Found, *, level: float, begun: float) -> BrdfFit:
     """What a fit tells of an optimum and how sure it is."""
+    found, sure = at.search, at.sure
     layout, data, values = problem.layout, problem.data, found.best
     held = identifiability(sure.independent, lost=LOST_CONDITION)
     rss = 2.0 * problem.value(values)
-    rmse, relative = _rms(problem, values)
     free = len(layout.space.names)
     likelihood = sure.effective * math.log(max(rss, 1e-300) / data.value.size)
     return BrdfFit(
@@ -144,8 +158,10 @@ def _result(
         table=parameter_table(layout, values, found.status, sure, held),
         loss=f"{loss}: {problem.loss.words}",
         loss_value=0.5 * rss,
-        rmse=rmse,
-        relative_rmse=relative,
+        rmse=at.rms[0],
+        relative_rmse=at.rms[1],
+        misfit=at.missed,
+        noise_floor=noise_floor(data),
         samples=data.size,
         pixels=int(data.pixels.sum()),
         effective=sure.effective,
@@ -157,11 +173,12 @@ def _result(
         footprint=data.footprint,
         resampled=sure.resampled,
         left_out=sure.left_out,
+        widened=largest(sure.widened),
         level=level,
         theta_d_range=(float(data.theta_d.min()), float(data.theta_d.max())),
-        warnings=tuple(sentences(problem, found, held, sure)),
+        warnings=tuple(sentences(problem, found, held, sure, at.missed)),
         search=found,
-        starts=tried,
+        starts=at.tried,
         seconds=time.perf_counter() - begun,
         layout=layout,
     )
@@ -190,8 +207,10 @@ def compare(
     Returns
     -------
     table, results
-        One row a model, the smallest BIC first: parameters, rmse, relative_rmse, aic, bic, delta_bic, identifiable,
-        at_bound, seconds; and the fits by name.
+        One row a model, the smallest BIC first: parameters, rmse, relative_rmse, over_noise (residual over noise), p
+        and adequate (see `livlab.optimise.misfit.Misfit`), aic, bic, delta_bic, identifiable, at_bound, seconds; and
+        the fits by name. `table.attrs` has the loss, the noise's source, and `noise_floor`, the relative_rmse of noise
+        alone.
     """
     data = samples if isinstance(samples, Packed) else pack(samples, footprint)
     results = {}
@@ -209,6 +228,9 @@ def compare(
                 "parameters": k,
                 "rmse": one.rmse,
                 "relative_rmse": one.relative_rmse,
+                "over_noise": one.misfit.ratio,
+                "p": one.misfit.worst,
+                "adequate": one.misfit.adequate,
                 "aic": likelihood + 2.0 * (k + 1),
                 "bic": likelihood + math.log(max(best.effective, 2.0)) * (k + 1),
                 "identifiable": one.identifiability.verdict,
@@ -217,8 +239,13 @@ def compare(
             }
         )
     table = pd.DataFrame(rows).set_index("model").sort_values("bic")
-    table.insert(5, "delta_bic", table["bic"] - table["bic"].min())
-    table.attrs = {"loss": loss, "effective_samples": best.effective}
+    table.insert(8, "delta_bic", table["bic"] - table["bic"].min())
+    table.attrs = {
+        "loss": loss,
+        "effective_samples": best.effective,
+        "noise": best.misfit.noise,
+        "noise_floor": best.noise_floor,
+    }
     return table, results
 
 

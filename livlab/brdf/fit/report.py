@@ -12,6 +12,7 @@ from livlab.brdf.fit.data import in_words
 from livlab.brdf.fit.problem import BrdfProblem, Layout
 from livlab.brdf.fit.spread import Spread
 from livlab.optimise import Identifiability, OptimiseResult
+from livlab.optimise.misfit import Misfit
 
 
 def parameter_table(
@@ -37,6 +38,7 @@ def parameter_table(
                 "sd_independent": sure.independent.sd.get(p.name, math.nan),
                 "lower": math.nan if span is None else float(span["lower"][p.name]),
                 "upper": math.nan if span is None else float(span["upper"][p.name]),
+                "widened": sure.widened.get(p.name, 1.0),
                 "status": status[p.name],
                 "held": p.name not in loose,
                 "channel": label,
@@ -81,10 +83,11 @@ def sentences(
     found: OptimiseResult,
     held: Identifiability,
     sure: Spread,
+    missed: Misfit,
 ) -> list[str]:
     """Warnings, the gravest first."""
     data = problem.data
-    notes = list(data.notes)
+    notes = [missed.words, *data.notes] if missed.told else list(data.notes)
     low, high = np.degrees([data.theta_d.min(), data.theta_d.max()])
     fresnel = {"eta", "k", "F0", "Rs"}
     if held.verdict == "not held":

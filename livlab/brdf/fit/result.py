@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,14 +14,18 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from livlab.brdf.fit.problem import Layout
+from livlab.brdf.fit.widen import skew
 from livlab.brdf.models.model import Model
 from livlab.core import markup
 from livlab.optimise import Identifiability, OptimiseResult
+from livlab.optimise.misfit import Misfit, times
 
 
 @dataclass(frozen=True, eq=False)
 class BrdfFit:
-    """Outcome of `livlab.brdf.fit.fit.fit`; true in a condition if the search converged and all parameters are held.
+    """Outcome of `livlab.brdf.fit.fit.fit`.
+
+    True in a condition if the search converged, all parameters are held, and the model does not miss the data.
 
     Attributes
     ----------
@@ -33,6 +38,10 @@ class BrdfFit:
         The loss in words, and half its sum of squares at the optimum.
     rmse, relative_rmse
         Root mean square of (f_model − f) cos θ_i over the pixels, in 1/sr and over that of f cos θ_i.
+    misfit
+        How far the model misses the data by their own noise, on what the residuals hang, and where most.
+    noise_floor
+        What `relative_rmse` would be of noise alone; NaN if the noise is not known.
     samples, pixels, effective
         Samples after pixels were merged, pixels, and how many independent residuals they are worth.
     aic, bic
@@ -47,6 +56,8 @@ class BrdfFit:
         How pixels were integrated.
     resampled, left_out, level
         What sd and intervals take as independent, which errors they cannot hold, and the intervals' coverage.
+    widened
+        Largest factor by which sd and interval of a parameter grew since the model misses the data (column `widened`).
     theta_d_range
         Smallest and largest θ_d of the samples in radians: what the angle dependence of Fresnel's term rests on.
     warnings
@@ -65,6 +76,8 @@ class BrdfFit:
     loss_value: float
     rmse: float
     relative_rmse: float
+    misfit: Misfit
+    noise_floor: float
     samples: int
     pixels: int
     effective: float
@@ -76,6 +89,7 @@ class BrdfFit:
     footprint: str
     resampled: str
     left_out: str
+    widened: float
     level: float
     theta_d_range: tuple[float, float]
     warnings: tuple[str, ...]
@@ -85,7 +99,7 @@ class BrdfFit:
     layout: Layout = field(repr=False)
 
     def __bool__(self) -> bool:
-        return bool(self.search) and self.identifiability.verdict != "not held"
+        return bool(self.search) and self.identifiability.verdict != "not held" and self.misfit.adequate is not False
 
     @property
     def values(self) -> dict[str, float]:
@@ -95,7 +109,10 @@ class BrdfFit:
     @property
     def uncertainty(self) -> str:
         """What sd and intervals are of."""
-        return f"sd and {100 * self.level:.4g} % intervals from the scatter between {self.resampled}"
+        text = f"sd and {100 * self.level:.4g} % intervals from the scatter between {self.resampled}"
+        if self.widened <= 1.0:
+            return text
+        return f"{text}; widened up to {times(self.widened)} x, as far as parts of the data pull the parameters apart"
 
     def parameters(self) -> xr.Dataset:
         """The model's parameters with dimension `channel`, as `Model.evaluate` takes them."""
@@ -139,6 +156,9 @@ class BrdfFit:
                 "combination": self.identifiability.combination,
             },
             "combinations": list(self.combinations),
+            "misfit": self.misfit.to_dict(),
+            "noise_floor": _finite(self.noise_floor),
+            "intervals_widened": self.widened,
             "footprint": self.footprint,
             "resampled": self.resampled,
             "not_in_sd_and_intervals": self.left_out,
@@ -163,6 +183,7 @@ class BrdfFit:
             f"{'data':<12} {self.pixels} pixels in {self.samples} samples, worth {self.effective:.0f} independent "
             f"residuals; theta_d {low:.1f} to {high:.1f} deg",
             f"{'rms':<12} {self.rmse:.4g} 1/sr of f cos(theta_i), {100 * self.relative_rmse:.3g} % of it",
+            f"{'misfit':<12} {self.misfit.words}",
             f"{'criteria':<12} AIC {self.aic:.6g}, BIC {self.bic:.6g}: for models on the same data and loss only",
             f"{'errors':<12} {self.uncertainty}",
             f"{'not in them':<12} {self.left_out}",
@@ -179,11 +200,24 @@ class BrdfFit:
                 shown, sd, span = f"{'-':>12}", f"{'':>10}", "not held by itself"
             lines.append(f"{name:<{wide}}  {shown}  {sd}  {span:<26}  {row['status']}")
         lines += [f"measured: {words}" for words in self.combinations]
-        lines += [f"warning: {sentence}" for sentence in self.warnings]
+        lines += [f"warning: {sentence}" for sentence in self.warnings if sentence != self.misfit.words]
         return "\n".join(lines)
 
     def __str__(self) -> str:
         return self.summary()
+
+    def __repr__(self) -> str:
+        told = ", ".join(self._told(str(n), row) for n, row in self.table.iterrows() if row["status"] != "fixed")
+        return f"BrdfFit({self.model.name}: {told}; {self.misfit.words})"
+
+    def _told(self, name: str, row: pd.Series) -> str:
+        """A parameter with its sd, or with its interval where it sits at a bound or reaches unlike to its sides."""
+        if not row["held"]:
+            return f"{name} not held by itself"
+        value, sd, low, high = (float(row[c]) for c in ("value", "sd", "lower", "upper"))
+        if str(row["status"]).startswith("at ") or skew(low, value, high):
+            return f"{name} = {value:.5g} [{low:.5g}, {high:.5g}]"
+        return f"{name} = {value:.5g} ± {sd:.2g}" if math.isfinite(sd) else f"{name} = {value:.5g}"
 
     def _repr_html_(self) -> str:
         rows = [
@@ -199,8 +233,31 @@ class BrdfFit:
             self.model.name,
             subtitle,
             markup.table(columns, rows),
-            markup.notes((self.loss, f"{self.uncertainty}; not in them: {self.left_out}", *told, *self.warnings)),
+            markup.notes(
+                (
+                    self.misfit.words,
+                    self.loss,
+                    f"{self.uncertainty}; not in them: {self.left_out}",
+                    *told,
+                    *(w for w in self.warnings if w != self.misfit.words),
+                )
+            ),
         )
+
+
+def adequate_in_words(results: Mapping[str, BrdfFit]) -> list[str]:
+    """Which of several fits describe the data to the noise, and by how much each other one misses, a line each."""
+    if not results:
+        return []
+    first = next(iter(results.values()))
+    floor = first.noise_floor
+    known = f"noise floor: {100 * floor:.2g} % of f cos(theta_i) ({first.misfit.noise})"
+    lines = [known if math.isfinite(floor) else f"noise floor: not known ({first.misfit.noise})"]
+    good = [name for name, one in results.items() if one.misfit.adequate]
+    if math.isfinite(floor):
+        lines.append(f"adequate: {', '.join(good) if good else 'none of these models describes the data to the noise'}")
+    lines += [f"{name}: {one.misfit.words}" for name, one in results.items() if not one.misfit.adequate]
+    return lines
 
 
 def _finite(value: Any) -> Any:

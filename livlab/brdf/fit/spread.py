@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -47,6 +47,8 @@ class Spread:
         Which errors neither `robust` nor `intervals` can hold, since they are alike in all blocks.
     effective
         Number of independent residuals that scatter as these do.
+    widened
+        By which factor sd and interval of a parameter were widened since the model misses the data; 1 where not.
     """
 
     independent: Covariance
@@ -55,6 +57,7 @@ class Spread:
     resampled: str
     left_out: str
     effective: float
+    widened: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,15 +154,8 @@ def spread(
     jacobian = normal.jacobian()
     space = problem.layout.space
     independent = covariance_of_residuals(jacobian, space, values, variance=variance)
-    blocks = _blocks(problem, resampling)
-    scores = normal.scores(blocks.labels)
-    if blocks.count <= FEW:
-        scores = _left_out(normal, blocks.labels, scores)
-        between = scores.T @ scores * ((blocks.count - 1) / blocks.count)
-    else:
-        between = scores.T @ scores * (blocks.count / (blocks.count - 1))
-    scatter = {(a, b): float(between[j, k]) for j, a in enumerate(normal.names) for k, b in enumerate(normal.names)}
-    robust = covariance_of_residuals(jacobian, space, values, variance=1.0, scatter=scatter)
+    blocks = blocks_of(problem, resampling)
+    robust = sandwich(normal, blocks.labels, values, jacobian)
     words = blocks.words
     if resampling is None or replicates < 2 or not normal.names:
         intervals = robust.intervals(2.0 * _normal_share(blocks.factor(level)) - 1.0)[["lower", "upper"]]
@@ -167,6 +163,26 @@ def spread(
         intervals = _bootstrap(normal, robust, values, blocks, replicates, level, seed)
         words += f", {replicates} replicates"
     return Spread(independent, robust, intervals, words, blocks.left_out, _effective(normal, data.tile, count, rss))
+
+
+def scatter_of_blocks(normal: Normal, labels: np.ndarray) -> FloatArray:
+    """Covariance (k, k) of Jᵀr over blocks that are independent; of up to a hundred each is left out in turn."""
+    scores = normal.scores(labels)
+    count = len(scores)
+    if count <= FEW:
+        scores = _left_out(normal, labels, scores)
+        return np.asarray(scores.T @ scores * ((count - 1) / count))
+    return np.asarray(scores.T @ scores * (count / (count - 1)))
+
+
+def sandwich(
+    normal: Normal, labels: np.ndarray, values: dict[str, float], jacobian: dict[str, FloatArray] | None = None
+) -> Covariance:
+    """Covariance of the parameters by the scatter between blocks."""
+    between = scatter_of_blocks(normal, labels)
+    scatter = {(a, b): float(between[j, k]) for j, a in enumerate(normal.names) for k, b in enumerate(normal.names)}
+    root = normal.jacobian() if jacobian is None else jacobian
+    return covariance_of_residuals(root, normal.problem.layout.space, values, variance=1.0, scatter=scatter)
 
 
 def _left_out(normal: Normal, labels: np.ndarray, scores: FloatArray) -> FloatArray:
@@ -187,7 +203,8 @@ def _effective(normal: Normal, tiles: np.ndarray, count: int, rss: float) -> flo
     return count / max(sums / rss, 1.0) if rss > 0 else float(count)
 
 
-def _blocks(problem: BrdfProblem, resampling: Resampling) -> Blocks:
+def blocks_of(problem: BrdfProblem, resampling: Resampling) -> Blocks:
+    """What counts as independent, as `Resampling` says."""
     data = problem.data
     lights, tiles = np.unique(data.light).size, np.unique(data.tile).size
     if resampling in ("auto", None):

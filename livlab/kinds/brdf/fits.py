@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "model", "loss", "parameter", "value", "low", "high", "status", "true", "relative_error", "relative_rmse",
-    "seconds", "warning",
+    "over_noise", "p", "adequate", "misfit", "seconds", "warning",
 )  # fmt: skip
 LEVEL = 0.95
 REPLICATES = 200
@@ -91,8 +91,12 @@ def fit_rows(found: BrdfFit, spec: FitSpec, true: Mapping[str, float]) -> list[d
                 "true": known,
                 "relative_error": value / known - 1.0 if known else None,
                 "relative_rmse": found.relative_rmse,
+                "over_noise": found.misfit.ratio,
+                "p": found.misfit.worst,
+                "adequate": found.misfit.adequate,
+                "misfit": None if rows else found.misfit.words,
                 "seconds": found.seconds,
-                "warning": None if rows else ("; ".join(found.warnings) or None),
+                "warning": None if rows else ("; ".join(w for w in found.warnings if w != found.misfit.words) or None),
             }
         )
     return rows

@@ -144,8 +144,9 @@ def _fits(run: RunData) -> ReportSection:
                 folded="" if subject == "reading" else f"{name}: {_range(part)}",
             )
         )
-        for text in part["warning"].dropna().unique():
-            section.content.append(Text(f"{name}: {text}"))
+        # Runs of before fits were held against the noise have no such column.
+        told = [part[c].dropna().unique() for c in ("misfit", "warning") if c in part]
+        section.content.extend(Text(f"{name}: {text}") for texts in told for text in texts)
     return section
 
 

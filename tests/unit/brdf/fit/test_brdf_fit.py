@@ -163,7 +163,7 @@ def test_sd_and_interval_are_of_the_same_blocks_and_say_so():
     expected = {"lights": "whole lights (8)", "tiles": "cells of 4 x 4 deg", "samples": "single samples"}
     kd = {}
     for drawn, words in expected.items():
-        found = fit(samples, "lambert+ggx", bootstrap=drawn)
+        found = fit(samples, "lambert+ggx", bootstrap=drawn, widening=False)
         assert found.resampled.startswith(words)
         kd[drawn] = row = found.table.loc["kd"]
         assert (row["upper"] - row["lower"]) / 2 == pytest.approx(row["sd"], rel=0.25)
@@ -242,7 +242,7 @@ def test_the_linear_bootstrap_is_the_refitted_one():
     level = 1 + 0.02 * rng.standard_normal(12)
     samples["value"] = samples["value"] * level[light][:, None]
     samples = samples.assign_coords(light=("sample", light))
-    found = fit(samples, "lambert+ggx", replicates=400, bootstrap="lights")
+    found = fit(samples, "lambert+ggx", replicates=400, bootstrap="lights", widening=False)
     data = pack(samples)
     layout = found.layout
 
