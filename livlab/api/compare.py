@@ -46,6 +46,10 @@ class Comparison:
         Colour difference CIEDE2000 of the curves as they are under D65; None where they leave out what the eye sees.
     unknown_error
         Names of curves whose error nobody knows: the intervals leave it out.
+    delta_e_error
+        How far that may be off at most, as the wavelengths are few or end early: the sum of both colours' errors.
+    notes
+        What to know of the colour difference.
     """
 
     metrics: dict[str, Interval]
@@ -54,6 +58,8 @@ class Comparison:
     normalise: Normalisation
     delta_e: float | None
     unknown_error: tuple[str, ...] = ()
+    delta_e_error: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def rmse(self) -> float:
@@ -76,8 +82,10 @@ class Comparison:
             for k, v in self.metrics.items()
         ]
         if self.delta_e is not None:
-            rows.append(("ΔE00 under D65, as they are", f"{self.delta_e:.2f}", ""))
+            range_ = "" if self.delta_e_error is None else f"off by at most {self.delta_e_error:.1f}"
+            rows.append(("ΔE00 under D65, as they are", f"{self.delta_e:.2f}", range_))
         said = [f"The error of {name} is not known and not in these intervals." for name in self.unknown_error]
+        said += self.notes
         first, last = self.first.wavelength_nm[[0, -1]]
         how = "as they are" if self.normalise == "none" else f"over their {self.normalise}"
         return markup.card(
@@ -170,7 +178,8 @@ def compare(
             except InputError:  # a constant curve has no correlation, and no amplitude
                 continue
     unknown = tuple(s.name for s in (x, other) if np.isnan(s.standard_error).any())
-    return Comparison(found, _scaled(x, normalise), _scaled(other, normalise), normalise, _delta_e(x, other), unknown)
+    curves = _scaled(x, normalise), _scaled(other, normalise)
+    return Comparison(found, *curves, normalise, *_colours(x, other, unknown))
 
 
 def _scaled(s: Spectrum, how: Normalisation) -> Spectrum:
@@ -180,15 +189,19 @@ def _scaled(s: Spectrum, how: Normalisation) -> Spectrum:
     return Spectrum(s.wavelength_nm, value, s.standard_error * abs(size), s.name, s.notes)
 
 
-def _delta_e(a: Spectrum, b: Spectrum) -> float | None:
+def _colours(
+    a: Spectrum, b: Spectrum, unknown: tuple[str, ...]
+) -> tuple[float | None, tuple[str, ...], float | None, tuple[str, ...]]:
+    """The last fields of a comparison: what the eye sees of it, and how sure that is."""
     import xarray as xr
 
-    from livlab.model.colour import cie_rgb, delta_e_2000
+    from livlab.model.colour import cie_rgb, colour_error, delta_e_2000
 
+    both = [xr.DataArray(s.value, dims="wavelength", coords={"wavelength": s.wavelength_nm}) for s in (a, b)]
     try:
-        seen = [
-            cie_rgb(xr.DataArray(s.value, dims="wavelength", coords={"wavelength": s.wavelength_nm})) for s in (a, b)
-        ]
-        return float(delta_e_2000(*seen))
+        found = float(delta_e_2000(*(cie_rgb(x) for x in both)))
+        errors = [colour_error(x) for x in both]
     except InputError:
-        return None
+        return None, unknown, None, ()
+    told = {str(e.attrs["told"]): s.name for e, s in zip(errors, (a, b), strict=True) if e.attrs["told"]}
+    return found, unknown, float(sum(errors)), tuple(f"{name}: {text}" for text, name in told.items())

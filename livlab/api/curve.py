@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,13 +109,19 @@ class Spectrum:
         if self.data is not None:
             rows.append(("solver", self.data.attrs.get("rung", "")))
             rows.append(("seconds", f"{float(self.data.attrs.get('seconds', 0.0)):.3g}"))
-        try:
+        patch, doubt = "", ""
+        with suppress(InputError), warnings.catch_warnings():  # wavelengths that leave the eye out
+            warnings.simplefilter("ignore", UserWarning)
+            doubt = self.colour_error()[1]
             patch = f"<p>{markup.swatch(self.srgb().tolist(), 'under D65')} as seen under D65</p>"
-        except InputError:  # wavelengths that leave the eye out
-            patch = ""
         drawing = markup.curve(self.wavelength_nm.tolist(), self.value.tolist(), self.name)
         return markup.card(
-            self.name, "spectrum", drawing, patch, markup.table(["", ""], rows), markup.notes(self.notes)
+            self.name,
+            "spectrum",
+            drawing,
+            patch,
+            markup.table(["", ""], rows),
+            markup.notes([*self.notes, *([f"Colour: {doubt}"] if doubt else [])]),
         )
 
     @classmethod
@@ -283,14 +291,33 @@ class Spectrum:
         Raises
         ------
         InputError
-            Wavelengths that leave out more than 1 % of what the eye sees (400–700 nm suffice).
-        """
-        import xarray as xr
+            Wavelengths that tell no colour (400–700 nm in steps of 10 nm suffice).
 
+        Warns
+        -----
+        UserWarning
+            The colour may be off by more than the eye notices: see `colour_error`.
+        """
         from livlab.model.colour import cie_rgb, encode_srgb, in_gamut
 
-        radiance = xr.DataArray(self.value, dims="wavelength", coords={"wavelength": self.wavelength_nm})
-        return np.asarray(encode_srgb(in_gamut(cie_rgb(radiance, illuminant))).to_numpy())
+        if told := self.colour_error(illuminant)[1]:
+            warnings.warn(f"{self.name}: {told}", UserWarning, stacklevel=2)
+        return np.asarray(encode_srgb(in_gamut(cie_rgb(self._radiance(), illuminant))).to_numpy())
+
+    def colour_error(self, illuminant: str = "D65") -> tuple[float, str]:
+        """ΔE00 by which `srgb` may be off because wavelengths are few or end early, and in words; "" if not to be seen.
+
+        See `livlab.model.colour.colour_error`; raises as `srgb`.
+        """
+        from livlab.model.colour import colour_error
+
+        found = colour_error(self._radiance(), illuminant)
+        return float(found), str(found.attrs["told"])
+
+    def _radiance(self) -> Any:
+        import xarray as xr
+
+        return xr.DataArray(self.value, dims="wavelength", coords={"wavelength": self.wavelength_nm})
 
     def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw it with ±2 standard errors where they are known; returns the axes.

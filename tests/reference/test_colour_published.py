@@ -7,6 +7,7 @@ import xarray as xr
 from livlab.model.colour import (
     ILLUMINANTS,
     OBSERVERS,
+    SRGB_TO_XYZ,
     cie_rgb,
     cie_weights,
     decode_srgb,
@@ -14,7 +15,6 @@ from livlab.model.colour import (
     encode_srgb,
     sampling_error,
 )
-from livlab.model.colour.difference import SRGB_TO_XYZ
 from livlab.model.colour.science import colour_science
 
 # Sharma, Wu & Dalal 2005, table 1: L*, a*, b* of both colours, ΔE00.

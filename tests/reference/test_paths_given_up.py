@@ -163,3 +163,23 @@ def test_more_paths_given_up_than_sixteen_bits_hold_are_counted(mi: Any) -> None
     assert tracer.troubles == {"given_up": 1 << 17, "strayed": 0}
     taken = tracer.take_given_up()
     np.testing.assert_allclose(taken.weight, 0.9 * (1 << 17), rtol=2e-3)
+
+
+def test_an_instruments_reading_lacks_no_more_than_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    from livlab.acquire.instruments.collinear import Collinear
+    from livlab.acquire.instruments.solvers import TracerSolver
+    from livlab.acquire.instruments.spectrometer import measure
+    from livlab.model.tracer import block
+
+    stack = plain_stack([(1.4, 0.01, 5.0, 1e3, HenyeyGreenstein(0.5))])
+    solver = TracerSolver(samples=1 << 16, seed=3)
+    whole = measure(stack, Collinear(), solver)
+    assert not whole["systematic"].any() and "given up" not in whole.attrs["notes"]
+    made = block.Tracer
+    monkeypatch.setattr(block, "Tracer", lambda *a, **k: made(*a, **k, max_steps=60))
+    short = measure(stack, Collinear(), solver)
+    lacks = (whole["value"] - short["value"]).item()
+    error = np.hypot(whole["standard_error"], short["standard_error"]).item()
+    told = short["systematic"].item()
+    assert lacks > 5 * error
+    assert lacks <= told + 4 * error and "stated as systematic" in short.attrs["notes"]

@@ -54,15 +54,12 @@ def by_tracer(
         _check(resume, stack, instrument, solver, variant)
         sums.take(resume, view.specular_weight * specular)
     before = float(resume.attrs["seconds"]) if resume is not None else 0.0
-    earlier, before_samples = np.zeros(len(stack.wavelength_nm)), sums.samples
-    if resume is not None and "systematic" in resume:
-        earlier = resume["systematic"].to_numpy()
 
     def result() -> xr.Dataset:
         mean, error = sums.mean(), sums.error()
         value = mean + view.specular_weight * specular
         met = sums.needed(solver, value) <= sums.samples
-        missing = (earlier * before_samples + block.given_up() * (sums.samples - before_samples)) / max(sums.samples, 1)
+        missing = sums.missing(block.given_up())
         said = [*stack.notes, *view.notes, *_shortfalls(stack, met, missing)]
         out = _dataset(stack, value, error, specular, sums.samples, met)
         out["systematic"] = ("wavelength", missing, {"units": "1", "long_name": "bound of what given-up paths lack"})
@@ -134,6 +131,7 @@ class _Sums:
     def __init__(self, wavelengths: int) -> None:
         self.total, self.squares = np.zeros(wavelengths), np.zeros(wavelengths)
         self.rows = self.each = self.launches = 0
+        self.taken, self.taken_missing = 0, np.zeros(wavelengths)
 
     @property
     def samples(self) -> int:
@@ -159,6 +157,11 @@ class _Sums:
         spread = np.maximum(self.squares - self.total**2 / self.rows, 0.0)
         return np.asarray(np.sqrt(spread / (self.rows - 1) / self.rows))
 
+    def missing(self, own: FloatArray) -> FloatArray:
+        """(W,) bound of what the mean lacks for paths given up, of which `own` is that of the launches since `take`."""
+        since = self.samples - self.taken
+        return (self.taken_missing * self.taken + own * since) / max(self.samples, 1)
+
     def needed(self, solver: TracerSolver, value: FloatArray) -> FloatArray:
         """(W,) paths that the rule asks for, as far as is known."""
         if solver.samples is not None:
@@ -175,6 +178,8 @@ class _Sums:
         self.total = (earlier["value"].to_numpy() - mirrored) * self.rows
         error = earlier["standard_error"].to_numpy()
         self.squares = error**2 * self.rows * (self.rows - 1) + self.total**2 / self.rows
+        if "systematic" in earlier:
+            self.taken, self.taken_missing = self.samples, earlier["systematic"].to_numpy()
 
 
 def _check(

@@ -272,41 +272,39 @@ def _thinned(made: CurveTarget, curve: MeasuredCurve, m: Measurement, grid: Floa
     )
 
 
+def _doubt(made: CurveTarget, m: Measurement, grid: FloatArray) -> str:
+    """What a colour loss cannot know of the measured colour; nothing for other losses."""
+    if m.loss != "colour":
+        return ""
+    from livlab.model.colour import daylight_doubt
+
+    told = daylight_doubt(np.tile(grid, made.use.size // len(grid))[made.use], made.data[made.use])
+    return told and f"{m.label}: {told}"
+
+
 def colour_of(m: Measurement, wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray] | None:
     """The colour of a curve, where the loss is one.
 
     Raises
     ------
     InputError
-        A band that leaves out more of white's light than a colour can do without.
+        Wavelengths that tell no colour.
     """
     if m.loss != "colour":
         return None
+    from livlab.model.colour import daylight_lab
+
     try:
-        return _lab_of(wavelength_nm)
+        return daylight_lab(wavelength_nm)
     except (RangeError, InputError) as error:
         band = f"{wavelength_nm[0]:g}–{wavelength_nm[-1]:g} nm" if len(wavelength_nm) else "no wavelength"
         raise InputError.of(
             f"measurement {m.label}.loss",
             "colour",
-            f"needs a band that holds 99 % of white's luminance, and {band} are compared: {error.message}",
-            "Compare 450–720 nm or more with steps of 10 nm or less (wavelengths, band_nm, and what the dataset has), "
+            f"needs a band that holds what the eye sees, and {band} are compared: {error.message.rstrip('.')}",
+            "Compare 400–700 nm or more with steps of 10 nm or less (wavelengths, band_nm, and what the dataset has), "
             "or use another loss.",
         ) from None
-
-
-def _lab_of(wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """CIE L*a*b* of a reflectance under D65 for the 2° observer, white being a perfect diffuser."""
-    from livlab.model.colour import cie_weights
-
-    weights = cie_weights(wavelength_nm).transpose("channel", "wavelength").to_numpy()
-
-    def lab(curve: FloatArray) -> FloatArray:
-        from colour import RGB_COLOURSPACES, RGB_to_XYZ, XYZ_to_Lab
-
-        return np.asarray(XYZ_to_Lab(RGB_to_XYZ(weights @ curve, RGB_COLOURSPACES["sRGB"])))
-
-    return lab
 
 
 __all__ = ["FitSetup", "MeasuredCurve", "colour_of", "scene_of", "target"]

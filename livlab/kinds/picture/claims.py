@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from livlab.criteria import Claim
-from livlab.kinds.picture.colour import MeanColour, lab, propagated
+from livlab.kinds.picture.colour import MeanColour, propagated
 from livlab.kinds.picture.config import PictureCriterion, PictureExperiment
-from livlab.model.colour import delta_e_2000
+from livlab.model.colour import delta_e_2000, lab
 from livlab.units import FloatArray
 
 Key = tuple[str, str]

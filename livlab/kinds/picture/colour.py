@@ -11,9 +11,7 @@ import xarray as xr
 
 from livlab.kinds.picture.config import Colour
 from livlab.kinds.picture.film import CameraFilm
-from livlab.model.colour import channel_wavelengths, cie_weights, stochastic_weights, thesis_weights, to_rgb
-from livlab.model.colour.difference import SRGB_TO_XYZ
-from livlab.model.colour.science import colour_science
+from livlab.model.colour import channel_wavelengths, cie_weights, lab, stochastic_weights, thesis_weights, to_rgb
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
@@ -162,13 +160,6 @@ def propagated(
         slope[k] = ((change + 180.0) % 360.0 - 180.0 if turn else change) / (2.0 * step)
     spread = float(slope @ covariance @ slope)
     return float(np.sqrt(max(spread, 0.0)))
-
-
-def lab(rgb: FloatArray) -> FloatArray:
-    """(…, 3) CIELAB of linear sRGB, white (1, 1, 1) being its white."""
-    models = colour_science().models
-    white = models.XYZ_to_xy(SRGB_TO_XYZ.sum(axis=1))
-    return np.asarray(models.XYZ_to_Lab(np.asarray(rgb) @ SRGB_TO_XYZ.T, white))
 
 
 def coordinate(found: FloatArray, what: str) -> float:

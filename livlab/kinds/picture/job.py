@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from livlab.kinds.picture import tables
 from livlab.kinds.picture.claims import Key, PictureSummary, judge
@@ -20,6 +21,7 @@ from livlab.kinds.picture.plan import plan_picture
 from livlab.kinds.picture.work import Photographer, Work
 from livlab.kinds.shared.seeds import reading_seed
 from livlab.machine.gpu import name_device
+from livlab.model.colour import colour_error
 from livlab.model.tissue.optics import optical_stack
 from livlab.model.tissue.stack import OpticalStack
 from livlab.runs.work import PieceUnderWay, Run
@@ -109,6 +111,7 @@ def _work(run: Run, work: Work) -> None:
     baselines = _baselines(run, work)
     started = time.perf_counter()
     pictures = {key: _seen(work, key, film) for key, film in films.items()}
+    _doubt(run, work, pictures)
     claims = judge(config, pictures)
     write_pictures(run, work, films, baselines)
     if config.cost is not None:
@@ -219,6 +222,19 @@ def _baselines(run: Run, work: Work) -> dict[str, FloatArray]:
         run.stop_if_asked()
     run.progress.advance("baselines", 1.0)
     return made
+
+
+def _doubt(run: Run, work: Work, pictures: Mapping[Key, PictureSummary]) -> None:
+    """What the CIE's route cannot know of the lit body's mean colour: its band may end early, its steps be wide."""
+    route = work.routes.get("cie")
+    if route is None:
+        return
+    how, used = work.config.colour, list(route.indices)
+    for key, summary in pictures.items():
+        spectrum = how.exposure * summary.colours["cie"].spectrum[used]
+        made = xr.DataArray(spectrum, dims="wavelength", coords={"wavelength": work.grid[used]})
+        if np.isfinite(spectrum).all() and (told := colour_error(made, how.illuminant, how.observer).attrs["told"]):
+            run.note(f"{label(key)}, CIE: {told}")
 
 
 def _seen(work: Work, key: Key, film: CameraFilm) -> PictureSummary:

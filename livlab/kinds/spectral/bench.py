@@ -110,6 +110,7 @@ def bench_data(
         "table": table,
         "references": [dict(r) for r in references],
         "colour": _colour(grid),
+        "colour_note": _colour_note(grid),
         "instrument": instrument.kind,
         "reading": reading.name,
         "standard_error": standard_error,
@@ -345,6 +346,18 @@ def _colour(grid: FloatArray) -> list[list[float]] | None:
     except (RangeError, InputError):
         return None
     return [_numbers(row) for row in weights]
+
+
+def _colour_note(grid: FloatArray) -> str:
+    """What the colour shown leaves out of what the eye sees; "" where nobody would see it in a grey."""
+    from livlab.errors import RangeError
+    from livlab.model.colour import daylight_doubt
+
+    try:
+        told = daylight_doubt(grid, np.full(len(grid), 0.3))
+    except (RangeError, InputError):
+        return ""
+    return told and f"The colour shown: for a grey of 30 %, {told}"
 
 
 def _numbers(values: FloatArray) -> list[float]:

@@ -161,13 +161,15 @@ def _tell_failures(
     outputs: Outputs,
     told: Collection[int] = (),
 ) -> None:
-    """Notes on points without a curve, `told` being those of which the run speaks already; on outputs that are nan."""
+    """Notes on points without a curve, `told` being those noted already; on outputs that are nan or doubtful."""
     failed = [str(c["error"]) for k, c in enumerate(curves) if "error" in c and k not in told]
     if len(failed) == len(curves) - len(told):
         raise InputError.of(
             "study", f"0 of {len(failed)} evaluations", f"gave a curve; the first failed so: {failed[0]}",
             "Mend the tissue, or the factors' bounds.",
         )  # fmt: skip
+    for text in outputs.doubts([np.array(c["value"]) for c in curves if "error" not in c]):
+        run.note(text)
     if failed:
         run.note(
             f"{len(failed)} of {len(curves) - len(told)} evaluations gave no curve; the first failed so: {failed[0]}"

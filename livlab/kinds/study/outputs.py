@@ -25,6 +25,7 @@ from livlab.metrics import (
     rmse,
     squared_error_sum,
 )
+from livlab.model.colour import daylight_doubt, daylight_lab
 from livlab.units import FloatArray
 
 RESAMPLES = 200
@@ -85,7 +86,7 @@ class Outputs:
         for o in self.specs:
             use = self._use[o.name]
             if o.metric in COLOUR:
-                self._lab[o.name] = lab_in_daylight(self.wavelength_nm[use])
+                self._lab[o.name] = daylight_lab(self.wavelength_nm[use])
             if o.metric not in COMPARING:
                 continue
             known = by_label[str(o.against)]
@@ -125,6 +126,17 @@ class Outputs:
         """
         return {o.name: self._number(o, value, standard_error) for o in self.specs}
 
+    def doubts(self, curves: Sequence[FloatArray]) -> list[str]:
+        """What cannot be known of the colours of (W,) curves at these wavelengths, one text for outputs alike."""
+        by_text: dict[str, list[str]] = {}
+        for name in self._lab:
+            use = self._use[name]
+            seen = [x[use] for x in curves if np.isfinite(x[use]).all()]
+            seen += [self._data[name]] if name in self._data else []
+            if seen and (told := daylight_doubt(self.wavelength_nm[use], np.stack(seen))):
+                by_text.setdefault(told, []).append(name)
+        return [f"{', '.join(names)}: {told}" for told, names in by_text.items()]
+
     def _number(self, o: Output, value: FloatArray, standard_error: FloatArray | None) -> Number:
         if o.name in self.missing:
             return Number(math.nan, math.nan, self.missing[o.name])
@@ -162,26 +174,6 @@ class Outputs:
         if o.metric == "peak wavelength":
             return float(self.wavelength_nm[self._use[o.name]][int(np.argmax(curve))])
         return float(self._lab[o.name](curve)[("lightness", "a*", "b*").index(o.metric)])
-
-
-def lab_in_daylight(wavelength_nm: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """From a reflectance to CIE L*a*b* under D65 for the 2° observer, white being a perfect diffuser.
-
-    Raises
-    ------
-    RangeError
-        Too much of white's luminance lies beyond the wavelengths.
-    """
-    from livlab.model.colour import cie_weights
-
-    weights = cie_weights(wavelength_nm).transpose("channel", "wavelength").to_numpy()
-
-    def lab(curve: FloatArray) -> FloatArray:
-        from colour import RGB_COLOURSPACES, RGB_to_XYZ, XYZ_to_Lab
-
-        return np.asarray(XYZ_to_Lab(RGB_to_XYZ(weights @ curve, RGB_COLOURSPACES["sRGB"])), dtype=np.float64)
-
-    return lab
 
 
 def finite(value: Any) -> float | None:

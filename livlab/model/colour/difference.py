@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
 from livlab.metrics import ciede2000
 from livlab.model.colour.encoding import check_channels
-from livlab.model.colour.science import colour_science
-from livlab.units import FloatArray
-
-SRGB_TO_XYZ = np.array(
-    [
-        [0.4123907992659593, 0.3575843393838780, 0.1804807884018343],
-        [0.2126390058715103, 0.7151686787677559, 0.0721923153607337],
-        [0.0193308187155918, 0.1191947797946259, 0.9505321522496605],
-    ]
-)
-"""From sRGB's primaries and its white (0.3127, 0.3290), not rounded to four digits as IEC 61966-2-1 prints it: white
-then is exactly white."""
+from livlab.model.colour.primaries import lab
 
 Space = Literal["linear-srgb", "lab"]
 
@@ -56,7 +44,7 @@ def delta_e_2000(first: xr.DataArray, second: xr.DataArray, *, space: Space = "l
     a, b = xr.broadcast(first.drop_vars("channel", errors="ignore"), second.drop_vars("channel", errors="ignore"))
     a, b = a.transpose(..., "channel"), b.transpose(..., "channel")
     if space == "linear-srgb":
-        labs = (_lab(a.to_numpy()), _lab(b.to_numpy()))
+        labs = (lab(a.to_numpy()), lab(b.to_numpy()))
     elif space == "lab":
         labs = (a.to_numpy(), b.to_numpy())
     else:
@@ -64,9 +52,3 @@ def delta_e_2000(first: xr.DataArray, second: xr.DataArray, *, space: Space = "l
     template = a.isel(channel=0, drop=True)
     difference = template.copy(data=ciede2000(*labs).reshape(template.shape))
     return difference.rename("delta_e_2000").drop_attrs().assign_attrs(units="1")
-
-
-def _lab(linear: FloatArray) -> FloatArray:
-    models = colour_science().models
-    white = models.XYZ_to_xy(SRGB_TO_XYZ.sum(axis=1))
-    return np.asarray(models.XYZ_to_Lab(linear @ SRGB_TO_XYZ.T, white))

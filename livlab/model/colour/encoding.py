@@ -9,10 +9,8 @@ import numpy as np
 import xarray as xr
 
 from livlab.errors import InputError
+from livlab.model.colour.primaries import LUMINANCE
 from livlab.units import FloatArray
-
-LUMINANCE = (0.2126390058715103, 0.7151686787677559, 0.0721923153607337)
-"""Share of R, G and B in luminance: the middle row of sRGB's matrix, from its primaries and white (IEC 61966-2-1)."""
 
 Handling = Literal["clip", "desaturate"]
 

@@ -14,9 +14,7 @@ import xarray as xr
 from livlab.core.files import whole, write_whole
 from livlab.errors import InputError
 from livlab.model.colour.encoding import Handling, check_channels, encode_srgb, in_gamut
-
-SRGB_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""x, y of red, green, blue and white (IEC 61966-2-1, ITU-R BT.709)."""
+from livlab.model.colour.primaries import SRGB_CHROMATICITIES
 
 Image = tuple[str, str]
 _PLANE: Image = ("row", "column")

@@ -2,41 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
-from livlab.errors import InputError, RangeError
-from livlab.model.colour.difference import SRGB_TO_XYZ, delta_e_2000
+from livlab.errors import InputError
+from livlab.model.colour.difference import delta_e_2000
+from livlab.model.colour.guard import check_seen, possible_error, told
+from livlab.model.colour.primaries import SRGB_TO_XYZ, lab
 from livlab.model.colour.routes import CHANNELS, check_wavelengths, to_rgb
 from livlab.model.colour.science import colour_science
+from livlab.model.colour.sight import Sight, interpolator, sight
 from livlab.units import FloatArray
-
-OBSERVERS = {
-    "cie-1931-2": "CIE 1931 2 Degree Standard Observer",
-    "cie-1964-10": "CIE 1964 10 Degree Standard Observer",
-    "cie-2015-2": "CIE 2015 2 Degree Standard Observer",
-    "cie-2015-10": "CIE 2015 10 Degree Standard Observer",
-}
-"""Observers by livlab's name, as colour-science calls them."""
-
-ILLUMINANTS = {
-    **{name: name for name in ("A", "D50", "D65", "E", "FL2", "FL7", "FL11")},
-    **{name: name for name in ("LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5", "LED-BH1", "LED-RGB1", "LED-V1")},
-    "xenon": "Kinoton 75P",
-}
-"""Illuminants by livlab's name: the CIE's (CIE 015:2018), and a measured xenon arc lamp of a projector."""
 
 Interpolation = Literal["linear", "cubic"]
 Adaptation = Literal["Bradford", "CAT16", "Von Kries", "none"]
-
-UNSEEN = 1e-2
-"""Share of white's luminance beyond an image's wavelengths above which the route refuses."""
-
-STEP_NM = 1.0
 
 
 def cie_weights(
@@ -71,14 +53,17 @@ def cie_weights(
     Returns
     -------
     DataArray (channel, wavelength). Attributes: `illuminant`, `observer`, `adaptation`, `interpolation`,
-    `unseen_share` (share of white's luminance beyond the image's wavelengths, where the end is held).
+    `unseen_share` (share of white's luminance beyond the image's wavelengths, where the end is held),
+    `unseen_share_of_x`, `unseen_share_of_z` (the same of its X and Z). What that may mean for the colour of a spectrum
+    is `colour_error`'s to say.
 
     Raises
     ------
     InputError
         An unknown name; wavelengths that do not rise; a white that is not positive or has other wavelengths.
     RangeError
-        More than `UNSEEN` of white's luminance lies beyond the image's wavelengths.
+        More than `guard.UNSEEN` of white's luminance, or `guard.UNSEEN_OF_ANY` of its X or Z, lies beyond the image's
+        wavelengths, or there is a gap of more than `guard.WIDEST_NM` between them.
 
     Examples
     --------
@@ -89,27 +74,13 @@ def cie_weights(
     grid = check_wavelengths(wavelength_nm)
     if adaptation not in ("Bradford", "CAT16", "Von Kries", "none"):
         raise InputError.of("adaptation", adaptation, "must be Bradford, CAT16, Von Kries or none", "Pick one.")
-    fine, power, sensitivity = _tables(illuminant, observer)
-    between = _interpolator(grid, fine, interpolation)
-    seen = sensitivity * power
-    beyond = (fine < grid[0]) | (fine > grid[-1])
-    unseen = float(seen[1, beyond].sum() / seen[1].sum())
-    if unseen > UNSEEN:
-        raise RangeError.of(
-            "wavelength",
-            f"{grid[0]:g}–{grid[-1]:g} nm",
-            f"leaves out {100 * unseen:.1f} % of white's luminance under {illuminant}, more than {100 * UNSEEN:g} %",
-            "Render 400–700 nm or more.",
-        )
-    to_xyz = seen @ between
-    of_white = to_xyz @ _white(white, grid)
-    to_xyz /= of_white[1]
-    of_white /= of_white[1]
-    target = SRGB_TO_XYZ.sum(axis=1)
-    if adaptation != "none":
-        to_xyz = _adaptation(of_white, target, adaptation) @ to_xyz
+    eye = sight(illuminant, observer)
+    between = interpolator(grid, eye.fine, interpolation)
+    check_seen(grid, eye, illuminant)
+    below, above = eye.unseen(grid)
+    from_sums = _from_sums(grid, eye, white, adaptation, between)
     return xr.DataArray(
-        np.linalg.solve(SRGB_TO_XYZ, to_xyz),
+        from_sums @ (eye.seen @ between),
         dims=("channel", "wavelength"),
         coords={"channel": list(CHANNELS), "wavelength": grid},
         attrs={
@@ -117,7 +88,7 @@ def cie_weights(
             "observer": observer,
             "adaptation": adaptation,
             "interpolation": interpolation,
-            "unseen_share": unseen,
+            **{f"unseen_share{of}": float(below[k] + above[k]) for k, of in ((1, ""), (0, "_of_x"), (2, "_of_z"))},
         },
     )
 
@@ -148,6 +119,80 @@ def cie_rgb(
         radiance,
         cie_weights(grid, illuminant, observer, white=white, adaptation=adaptation, interpolation=interpolation),
     )
+
+
+def colour_error(
+    radiance: xr.DataArray,
+    illuminant: str = "D65",
+    observer: str = "cie-1931-2",
+    *,
+    white: xr.DataArray | None = None,
+    adaptation: Adaptation = "Bradford",
+) -> xr.DataArray:
+    """Colour difference ΔE00 by which `cie_rgb` of a spectrum may be off, as its wavelengths are few or end early.
+
+    Beyond its ends the spectrum may rise or fall by `guard.STEEPEST` a nm, or as steeply as elsewhere, between 0 and
+    white: of the four combinations the farthest counts. Between its wavelengths it may be as far from the spline as
+    lines are, or a spline through every other wavelength; but no less than known spectra err at that step. Features
+    narrower than the step are seen by neither.
+
+    Parameters
+    ----------
+    radiance, illuminant, observer, white, adaptation
+        As of `cie_rgb`.
+
+    Returns
+    -------
+    DataArray of ΔE00, without the dimension `wavelength`; attribute `told`: what a reader must know of the worst, "" if
+    that is not noticeable.
+
+    Raises
+    ------
+    InputError, RangeError
+        As `cie_weights`.
+
+    Examples
+    --------
+    >>> blood = xr.DataArray([0.05, 0.04, 0.02, 0.3, 0.4, 0.45], {"wavelength": [450.0, 500, 550, 600, 650, 700]})
+    >>> bool(colour_error(blood) > 5.0)
+    True
+    """
+    grid = check_wavelengths(radiance["wavelength"].to_numpy() if "wavelength" in radiance.coords else np.zeros(0))
+    eye = sight(illuminant, observer)
+    check_seen(grid, eye, illuminant)
+    to_rgb_ = _from_sums(grid, eye, white, adaptation, interpolator(grid, eye.fine, "cubic"))
+    spectra = radiance.transpose(..., "wavelength")
+    found = possible_error(grid, spectra.to_numpy().astype(np.float64).reshape(-1, len(grid)), eye, to_rgb_)
+    template = spectra.isel(wavelength=0, drop=True)
+    worst = float(np.max(found, initial=0.0, where=np.isfinite(found)))
+    out = template.copy(data=found.reshape(template.shape)).rename("colour_error").drop_attrs()
+    return out.assign_attrs(units="1", told=told(worst, grid, eye) or "")
+
+
+def daylight_lab(wavelength_nm: Any) -> Callable[[FloatArray], FloatArray]:
+    """From (…, W) reflectances on these wavelengths to (…, 3) CIELAB under D65 for the 2° observer.
+
+    White is a perfect diffuser: its a* and b* are 0.
+
+    Raises
+    ------
+    InputError, RangeError
+        As `cie_weights`.
+
+    Examples
+    --------
+    >>> daylight_lab(np.arange(400, 701, 10))(np.ones(31)).round(6) + 0.0
+    array([100.,   0.,   0.])
+    """
+    weights = cie_weights(wavelength_nm).transpose("channel", "wavelength").to_numpy()
+    return lambda curve: lab(np.asarray(curve) @ weights.T)
+
+
+def daylight_doubt(wavelength_nm: Any, curves: FloatArray) -> str:
+    """What a reader must know of `daylight_lab` of (…, W) curves, the worst of them; "" if nothing noticeable."""
+    found = np.atleast_2d(np.asarray(curves, dtype=np.float64))
+    made = xr.DataArray(found, dims=("curve", "wavelength"), coords={"wavelength": np.asarray(wavelength_nm)})
+    return str(colour_error(made).attrs["told"])
 
 
 def sampling_error(spectra: xr.DataArray, steps_nm: Sequence[float] = (5.0, 10.0, 20.0), **how: Any) -> xr.DataArray:
@@ -183,36 +228,15 @@ def sampling_error(spectra: xr.DataArray, steps_nm: Sequence[float] = (5.0, 10.0
     return xr.concat(found, dim=xr.DataArray(list(steps_nm), dims="step", name="step", attrs={"units": "nm"}))
 
 
-@lru_cache(maxsize=64)
-def _tables(illuminant: str, observer: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Wavelengths (F,) at 1 nm, the illuminant's power (F,) and the observer's functions (3, F)."""
-    for name, value, known in (("illuminant", illuminant, ILLUMINANTS), ("observer", observer, OBSERVERS)):
-        if value not in known:
-            raise InputError.of(name, value, f"must be one of {', '.join(known)}", "Pick one.")
-    colour = colour_science()
-    functions = colour.MSDS_CMFS[OBSERVERS[observer]]
-    name = ILLUMINANTS[illuminant]
-    light = colour.SDS_ILLUMINANTS[name] if name in colour.SDS_ILLUMINANTS else colour.SDS_LIGHT_SOURCES[name]
-    low = max(functions.wavelengths[0], light.wavelengths[0])
-    high = min(functions.wavelengths[-1], light.wavelengths[-1])
-    fine = np.arange(low, high + STEP_NM / 2, STEP_NM)
-    # The CIE tabulates its illuminants for linear interpolation (CIE 015:2018, 4).
-    power = np.interp(fine, light.wavelengths, light.values)
-    sensitivity = np.stack([np.interp(fine, functions.wavelengths, column) for column in functions.values.T])
-    return fine, power, sensitivity
-
-
-def _interpolator(grid: FloatArray, fine: FloatArray, how: str) -> FloatArray:
-    """(F, W) matrix from values at an image's wavelengths to values at 1 nm; the ends are held."""
-    if how not in ("linear", "cubic"):
-        raise InputError.of("interpolation", how, 'must be "linear" or "cubic"', "Pick one.")
-    inside = np.clip(fine, grid[0], grid[-1])
-    units = np.eye(len(grid))
-    if how == "linear" or len(grid) < 4:
-        return np.stack([np.interp(inside, grid, unit) for unit in units], axis=1)
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(grid, units)(inside))
+def _from_sums(
+    grid: FloatArray, eye: Sight, white: xr.DataArray | None, adaptation: str, between: FloatArray
+) -> FloatArray:
+    """(3, 3) from Σ S x̄ L at 1 nm to linear sRGB."""
+    of_white = eye.seen @ between @ _white(white, grid)
+    scaled, of_white = np.eye(3) / of_white[1], of_white / of_white[1]
+    if adaptation != "none":
+        scaled = _adaptation(of_white, SRGB_TO_XYZ.sum(axis=1), adaptation) @ scaled
+    return np.asarray(np.linalg.solve(SRGB_TO_XYZ, scaled))
 
 
 def _white(white: xr.DataArray | None, grid: FloatArray) -> FloatArray:

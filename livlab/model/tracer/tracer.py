@@ -86,7 +86,8 @@ class Tracer:
     ) -> None:
         self.wavelengths = np.asarray(wavelengths_nm, dtype=np.float64)
         self.variant = variant
-        _check(self.wavelengths, body, estimator, variant, {"max_steps": max_steps, "max_bounces": max_bounces})
+        limits = {"max_steps": max_steps, "max_bounces": max_bounces}
+        _check(self.wavelengths, body, estimator, variant, limits)
         self.mi = mi = mitsuba(variant)
         import drjit as dr
 
@@ -120,13 +121,7 @@ class Tracer:
             lights=lights,
             camera=lambda stream, row: cast(stream, row % pixels),
             size=size,
-            options=TracerOptions(
-                estimator=estimator,
-                max_steps=max_steps,
-                max_bounces=max_bounces,
-                camera_within=within,
-                next_event=next_event,
-            ),
+            options=TracerOptions(estimator=estimator, camera_within=within, next_event=next_event, **limits),
         )
         self.kernel = Kernel(self.context)
         self.troubles = {"given_up": 0, "strayed": 0}

@@ -96,7 +96,10 @@ def refused(text: str, *words: str) -> None:
         (source(BLOOD, HUMAN + "band_nm = [600, 550]\n"), ("band_nm", "must rise")),
         (source(BLOOD, HUMAN + 'loss = "chi2"\n'), ("chi2", "needs a standard deviation")),
         (source(BLOOD, HUMAN + "sd = 0.1\nrelative_sd = 0.1\n"), ("sd and relative_sd", "only one")),
-        (source(BLOOD, HUMAN + 'loss = "colour"\n'), ("measurement human.loss", "99 %", "520–700 nm", "450–720 nm")),
+        (
+            source(BLOOD, HUMAN + 'loss = "colour"\n'),
+            ("measurement human.loss", "17.7 % of white's luminance", "520–700 nm", "400–700 nm"),
+        ),
         (source(BLOOD, HUMAN + 'role = "check"\n'), ("measurement.role", "none is to be fitted")),
         (source(BLOOD, BLOOD.replace('"blood"', '"twice"'), HUMAN), ("blood.fraction", "two parameters", "only = ")),
         (source(BLOOD + 'only = ["hamster"]\n', HUMAN), ("blood.only", "hamster", "names no measurement")),
