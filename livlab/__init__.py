@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from livlab.api.compare import Comparison as Comparison
     from livlab.api.compare import compare as compare
     from livlab.api.curve import Spectrum as Spectrum
-    from livlab.api.fitting import FitResult as FitResult
+    from livlab.api.fit_result import FitResult as FitResult
     from livlab.api.fitting import fit as fit
     from livlab.api.running import RunResult as RunResult
     from livlab.api.running import open_run as open_run
@@ -38,7 +38,8 @@ _LAZY = {
     **dict.fromkeys(("Comparison", "compare"), "livlab.api.compare"),
     "Spectrum": "livlab.api.curve",
     **dict.fromkeys(("read_spectrum", "reference"), "livlab.api.sources"),
-    **dict.fromkeys(("FitResult", "fit"), "livlab.api.fitting"),
+    "FitResult": "livlab.api.fit_result",
+    "fit": "livlab.api.fitting",
     **dict.fromkeys(("RunResult", "open_run", "rerun", "run"), "livlab.api.running"),
     **dict.fromkeys(("spectrum", "tissue"), "livlab.api.simulate"),
     "Reading": "livlab.model.tissue.readings",

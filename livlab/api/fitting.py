@@ -3,139 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from livlab.api.arguments import explained
 from livlab.api.curve import Spectrum
+from livlab.api.fit_result import FitResult, frame
 from livlab.api.simulate import ENDLESS, Part, TissueLike, part, readings_of, tissue
 from livlab.api.sources import as_spectrum
 from livlab.config.load import check_experiment
-from livlab.core import markup
-from livlab.criteria import format_with_error
 from livlab.errors import InputError
-from livlab.fitting.targets import CurveTarget, Loss, Scaling
+from livlab.fitting.targets import Loss, Scaling
 from livlab.model.tissue.readings import READINGS, Reading
 from livlab.model.tissue.tissue import Tissue
 from livlab.units import FloatArray
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
     from pydantic import BaseModel
 
     from livlab.fitting.outcome import FitOutcome
+    from livlab.kinds.fit.alternatives import Alternatives
     from livlab.kinds.fit.config import FitExperiment
     from livlab.kinds.fit.setup import FitSetup, MeasuredCurve
 
 Bounds = tuple[float, float] | tuple[float, float, float] | Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Of a parameter: (low, high), (low, high, start), or a table as [[parameter]] in docs/studies.md; a list of tables
 where the tissues measured have each its own (`only`)."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FitResult:
-    """A finished fit; true in a condition if fresh draws gave the same parameters.
-
-    Attributes
-    ----------
-    table
-        Index label; path, unit, value, lower, upper, sd, drift, status, and `open`: ends that are bounds which the data
-        do not exclude.
-    scores
-        Index measurement; role, points, rmse, pearson of the normalised curves, and the same at the start (nan where
-        the last walk cannot answer for the start).
-    correlation
-        Of the free parameters.
-    spectrum, spectra
-        The model at the optimum, not normalised: of the first measurement's tissue, and of each measurement's by label.
-    measured
-        The curves that were given, by label.
-    tissue, tissues, reading
-        The fitted tissue of the first measurement, of each measurement by label, and how it is read.
-    level
-        Coverage of the intervals.
-    notes
-        What is to be said: bounds reached, parameters that the data do not hold.
-    outcome
-        The whole record.
-    """
-
-    table: pd.DataFrame
-    scores: pd.DataFrame
-    correlation: pd.DataFrame
-    spectrum: Spectrum
-    measured: dict[str, Spectrum]
-    tissue: Tissue
-    reading: Reading
-    level: float
-    notes: tuple[str, ...]
-    outcome: FitOutcome
-    targets: tuple[CurveTarget, ...] = field(default=())
-    spectra: dict[str, Spectrum] = field(default_factory=dict)
-    tissues: dict[str, Tissue] = field(default_factory=dict)
-    joint: FloatArray = field(default_factory=lambda: np.empty(0))
-
-    def __bool__(self) -> bool:
-        return self.outcome.settled
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Value by label."""
-        return {str(k): float(v) for k, v in self.table["value"].items()}
-
-    def __repr__(self) -> str:
-        found = ", ".join(
-            f"{name} {format_with_error(_number(row['value']), _number(row['sd']))}"
-            for name, row in self.table.iterrows()
-        )
-        return f"<FitResult {'settled' if self else 'not settled'}: {found}>"
-
-    def _repr_html_(self) -> str:
-        columns = ["parameter", "value", f"{self.level:.0%} interval", "unit", "status"]
-        rows = [
-            (
-                name,
-                format_with_error(_number(row["value"]), _number(row["sd"])),
-                f"{row['lower']:.4g} to {row['upper']:.4g}" if np.isfinite(row["lower"]) else "–",
-                row["unit"],
-                row["status"],
-            )
-            for name, row in self.table.iterrows()
-        ]
-        scored = [(str(n), float(r["rmse"]), float(r["pearson"])) for n, r in self.scores.iterrows()]
-        settled = "fresh draws gave the same values" if self else "fresh draws still move the values"
-        return markup.card(
-            f"Fit of {self.tissue.name}",
-            f"{self.reading.name}; {settled}",
-            markup.table(columns, rows),
-            markup.table(["measurement", "rmse", "pearson"], scored),
-            markup.notes(self.notes),
-        )
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The table of parameters."""
-        return self.table.copy()
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Measured and fitted curves as they were compared; returns the axes."""
-        from livlab.api.draw import axes
-
-        ax = axes(ax)
-        grid = np.resize(self.spectrum.wavelength_nm, len(self.joint))
-        for k, target in enumerate(self.targets):
-            model, data, sigma = target.normalised(self.joint)
-            x = grid[target.use]
-            (line,) = ax.plot(x, data, "o", ms=3.5, label=f"{target.label}, measured")
-            if np.isfinite(sigma).any():
-                ax.errorbar(x, data, np.nan_to_num(sigma), ls="none", color=line.get_color(), alpha=0.5)
-            ax.plot(x, model, color=line.get_color(), label="model" if k == 0 else None)
-        ax.set_xlabel("wavelength [nm]")
-        ax.set_ylabel("curve as compared")
-        ax.legend()
-        return ax
 
 
 @explained
@@ -153,6 +49,8 @@ def fit(
     scaling: Scaling = "max",
     loss: Loss = "rmse",
     measurements: Mapping[str, Mapping[str, Any]] | None = None,
+    alternatives: Mapping[str, Mapping[str, Any]] | None = None,
+    weigh_by: Literal["aic", "bic"] = "aic",
     level: float = 0.95,
     seed: int = 1,
     search: Mapping[str, Any] | None = None,
@@ -185,6 +83,12 @@ def fit(
     measurements
         What differs from that for single curves, by label, as [[measurement]] in docs/studies.md: band_nm, scaling,
         loss, weight, sd, relative_sd, role ("check": not fitted, looked at), set (values by path of that tissue).
+    alternatives
+        Other models to fit as well, by name, as [[alternative]] in docs/studies.md: variant, layers, reading, set, and
+        parameters of its own: {"no capsule": {"variant": "parenchyma_only"}, "two laws": {"set": {path: value},
+        "parameters": {path: (low, high)}}}.
+    weigh_by
+        Criterion by which the models are weighed.
     level
         Coverage of the intervals.
     seed
@@ -201,29 +105,36 @@ def fit(
     EnvironmentProblem
         There is no usable libLLVM.
     """
+    from livlab.kinds.fit.alternatives import Alternatives, models_of
     from livlab.kinds.fit.setup import FitSetup
 
     curves = _curves(measured)
     first = next(iter(curves.values()))
     grid = first.between(*band_nm).wavelength_nm if band_nm is not None else first.wavelength_nm
-    own = readings_of(reading)
+    read = readings_of(reading)
     config = _experiment(
         curves,
         parameters,
         {
-            "tissue": {"inline": _tissue(tissue, state, variant, changes)},
-            "reading": own["reading"][0] if "reading" in own else _named(own["readings"][0]),
+            "tissue": _spec(tissue, state, variant, changes, whole=not alternatives),
+            "reading": read["reading"][0] if "reading" in read else _named(read["readings"][0]),
             "wavelengths": {"list_nm": [float(x) for x in grid]},
             "instrument": part("instrument", ENDLESS if instrument is None else instrument),
             "search": dict(search or {}),
+            "alternative": [_alternative(name, given) for name, given in (alternatives or {}).items()],
+            "weigh_by": weigh_by,
             "level": level,
             "seed": seed,
             "variant": device,
         },
         {label: _asked(measurements, curves, label, scaling, loss) for label in curves},
     )
-    setup = FitSetup.of(config, {label: _curve(s, grid) for label, s in curves.items()})
-    return _result(setup, curves, setup.search())
+    own = {label: _curve(s, grid) for label, s in curves.items()}
+    setup, models = FitSetup.of(config, own), models_of(config, own)
+    found = setup.search()
+    if not models:
+        return _result(setup, curves, found)
+    return _beside(curves, _result(setup, curves, found), Alternatives.fitted(setup, found, models))
 
 
 def _result(setup: FitSetup, curves: dict[str, Spectrum], found: FitOutcome) -> FitResult:
@@ -244,8 +155,8 @@ def _result(setup: FitSetup, curves: dict[str, Spectrum], found: FitOutcome) -> 
         )
     one = config.measurement[0].label
     return FitResult(
-        table=_frame(fit_tables.intervals(config, found), "parameter", _INTERVALS),
-        scores=_frame(fit_tables.scores(config, setup.targets, best.value, begun), "measurement", _SCORES),
+        table=frame(fit_tables.intervals(config, found), "parameter", _INTERVALS),
+        scores=frame(fit_tables.scores(config, setup.targets, best.value, begun), "measurement", _SCORES),
         correlation=found.covariance.correlation.rename(index=labels, columns=labels),
         spectrum=spectra[one],
         spectra=spectra,
@@ -261,9 +172,22 @@ def _result(setup: FitSetup, curves: dict[str, Spectrum], found: FitOutcome) -> 
     )
 
 
+def _beside(curves: dict[str, Spectrum], result: FitResult, models: Alternatives) -> FitResult:
+    """A finished fit with those of its alternatives."""
+    from livlab.kinds.fit.alternatives import MODELS, SPREAD
+
+    others = {name: x for name, x in models.good.items() if x is not result.outcome}
+    return replace(
+        result,
+        alternatives=frame(models.table(), "alternative", MODELS[1:]),
+        spread=frame(models.spread_table(), "parameter", SPREAD[1:]),
+        fits={name: _result(models.models[name].setup, curves, x) for name, x in others.items()},
+        notes=(*models.notes(), *result.notes),
+    )
+
+
 _INTERVALS = ("path", "unit", "value", "lower", "upper", "sd", "drift", "status", "open")
 _SCORES = ("role", "points", "rmse", "pearson", "rmse_start", "pearson_start")
-_WORDS = {"path", "unit", "status", "open", "role"}
 
 
 def _curves(measured: Any) -> dict[str, Spectrum]:
@@ -340,6 +264,25 @@ def _parameter(path: str, bounds: Bounds) -> list[dict[str, Any]]:
     raise InputError.of(f"parameters[{path!r}]", bounds, "must be (low, high) or (low, high, start)", "Give bounds.")
 
 
+def _alternative(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """An alternative as a file has it; its parameters are bounds by path, as those of the fit."""
+    if not isinstance(given, Mapping):
+        raise InputError.of(f"alternatives[{name!r}]", given, "must be a table", "Give {'variant': …, 'set': {…}}.")
+    rest = {k: v for k, v in given.items() if k != "parameters"}
+    own = [table for path, bounds in dict(given.get("parameters", {})).items() for table in _parameter(path, bounds)]
+    return {"name": str(name), **rest, **({"parameter": own} if own else {})}
+
+
+def _spec(
+    given: TissueLike, state: str | None, variant: str, changes: Mapping[str, Any] | None, *, whole: bool
+) -> dict[str, Any]:
+    """The tissue as a file has it: written out if `whole`, else a preset by name, whose variants can be named."""
+    if whole or not isinstance(given, (str, Path)):
+        return {"inline": _tissue(given, state, variant, changes)}
+    named = {"preset": str(given), "variant": variant, "set": dict(changes or {})}
+    return named if state is None else {**named, "state": state}
+
+
 def _named(name: str) -> Reading:
     if name not in READINGS:
         raise InputError.of("reading", name, f"must be one of {', '.join(READINGS)}", "Name one, or give a Reading.")
@@ -359,14 +302,3 @@ def _curve(s: Spectrum, grid: FloatArray) -> MeasuredCurve:
     data[inside] = s.at(grid[inside])
     sd[inside] = np.interp(grid[inside], s.wavelength_nm, s.standard_error)
     return MeasuredCurve(data, sd, np.asarray(s.wavelength_nm, dtype=np.float64))
-
-
-def _frame(rows: list[dict[str, object]], index: str, columns: tuple[str, ...]) -> pd.DataFrame:
-    import pandas as pd
-
-    made = pd.DataFrame(rows).set_index(index)[list(columns)]
-    return made.astype({c: float for c in columns if c not in _WORDS and c != "points"})
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)

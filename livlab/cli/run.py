@@ -124,9 +124,28 @@ def _show(outcome: Outcome, *, quiet: bool) -> None:
         if outcome.claims:
             _print_claims(console, outcome.claims)
             _say_why(console, outcome)
+        _print_spread(console, outcome.folder)
         if outcome.cached:
             console.print("Done before; --force runs it again.", highlight=False)
     typer.echo(outcome.report or outcome.folder)
+
+
+def _print_spread(console: Console, folder: Path) -> None:
+    """Of a fit with alternatives, what the models say of each parameter beside its own interval."""
+    import csv
+
+    file = folder / "spread.csv"
+    if not file.is_file():
+        return
+    with file.open(encoding="utf-8", newline="") as opened:
+        rows = list(csv.DictReader(opened))
+    for row in rows:
+        own, over, values = (
+            f"{float(row[a]):.4g} to {float(row[b]):.4g}" if row[a] and row[b] else "–"
+            for a, b in (("lower", "upper"), ("weighted_lower", "weighted_upper"), ("least", "most"))
+        )
+        told = f"{row['parameter']}: {own} by its interval, {over} over {row['models']} models (values {values})"
+        console.print(told, highlight=False, markup=False, soft_wrap=True)
 
 
 def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:

@@ -10,8 +10,10 @@ from pydantic import Field, model_validator
 from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.acquire.instruments.models import Instrument
 from livlab.config.errors import nearest
-from livlab.config.schema import Experiment, Label, Section, Text
+from livlab.config.schema import Experiment, Label, Section
 from livlab.errors import InputError
+from livlab.kinds.fit.config_alternative import Alternative, has, lacking
+from livlab.kinds.fit.config_parameter import FitParameter, Positive
 from livlab.kinds.shared.sections import Wavelength, Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading
@@ -19,60 +21,6 @@ from livlab.optimise.algorithms import ALGORITHMS
 
 if TYPE_CHECKING:
     from livlab.kinds.fit.room import Room
-
-Positive = Annotated[float, Field(gt=0)]
-
-
-class FitParameter(Section):
-    """One parameter of a fit."""
-
-    path: str = Field(min_length=1, description="Value of the tissue, e.g. layers.parenchyma.elements.blood.fraction.")
-    label: Label | None = Field(None, description="How tables call it; the path's last words if not said.")
-    unit: Text = Field("", description="Unit, for tables.")
-    low: float = Field(description="Lower bound.")
-    high: float = Field(description="Upper bound.")
-    start: float | None = Field(None, description="First guess; the middle of the (transformed) bounds if not said.")
-    transform: Literal["linear", "log", "logit"] = Field("linear", description="How the search sees it.")
-    fixed: bool = Field(False, description="Keep it at its start.")
-    tied: Label | None = Field(None, description="Label of the parameter that it follows.")
-    factor: float = Field(1.0, description="Its value over that of the one it is tied to.")
-    only: tuple[Label, ...] | None = Field(
-        None, strict=False, min_length=1, description="Measurements whose tissue has it; all if not said."
-    )
-    prior_mean: float | None = Field(None, description="Mean of what is known beforehand.")
-    prior_sd: Positive | None = Field(None, description="Standard deviation of what is known beforehand.")
-
-    @property
-    def name(self) -> str:
-        """Label, or the path's last two words."""
-        return self.label or " ".join(self.path.split(".")[-2:]).replace("_", " ")
-
-    @property
-    def key(self) -> str:
-        """The path, and whose it is if not everyone's."""
-        return self.path if self.only is None else f"{self.path} of {', '.join(self.only)}"
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        self.parameter()
-        return self
-
-    def parameter(self, tied: str | None = None) -> Any:
-        """As `livlab.optimise.Parameter`; `tied` is the key of the one it follows."""
-        from livlab.optimise.parameters import Parameter
-
-        return Parameter(
-            self.key,
-            self.low,
-            self.high,
-            self.start,
-            transform=self.transform,
-            fixed=self.fixed,
-            tied=tied,
-            factor=self.factor,
-            prior_mean=self.prior_mean,
-            prior_sd=self.prior_sd,
-        )
 
 
 class Measurement(Section):
@@ -174,6 +122,10 @@ class FitCriterion(Section):
         return self
 
 
+AS_GIVEN = "as given"
+"""What the model of the file itself is called beside its alternatives."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """A tissue that was measured: by which measurements, what is set in it, and which parameter each path follows."""
@@ -197,6 +149,10 @@ class FitExperiment(Experiment):
         strict=False, min_length=1, max_length=30, description="What is sought."
     )
     measurement: tuple[Measurement, ...] = Field(strict=False, min_length=1, description="What it is sought from.")
+    alternative: tuple[Alternative, ...] = Field(
+        (), strict=False, max_length=20, description="Other models to fit as well, and weigh against this one."
+    )
+    weigh_by: Literal["aic", "bic"] = Field("aic", description="Criterion that weighs the models (Akaike, Schwarz).")
     search: Search = Field(default_factory=Search, description="How.")
     level: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(0.95, description="Coverage of the intervals.")
     round_trip: RoundTrip | None = Field(None, description="Whether to test the intervals on simulated tissues.")
@@ -206,10 +162,22 @@ class FitExperiment(Experiment):
 
     @model_validator(mode="after")
     def _holds_together(self) -> Self:
+        self.check()
+        return self
+
+    def check(self) -> None:
+        """Whether it holds together.
+
+        Raises
+        ------
+        InputError
+            It does not.
+        """
         for what, names in (
             ("parameter", [p.name for p in self.parameter]),
             ("measurement", [m.label for m in self.measurement]),
             ("criterion", [c.name for c in self.criterion]),
+            ("alternative", [AS_GIVEN, *(a.name for a in self.alternative)]),
         ):
             twice = next((x for x in names if names.count(x) > 1), None)
             if twice is not None:
@@ -229,7 +197,8 @@ class FitExperiment(Experiment):
                     f"measurement {m.label}.band_nm", m.band_nm, f"lies outside {grid[0]:g}–{grid[-1]:g} nm", "Move it."
                 )
         self.room().check_start()
-        return self
+        for alternative in self.alternative:
+            self.version(alternative)
 
     def _belongs(self, labels: list[str]) -> None:
         for p in self.parameter:
@@ -268,6 +237,39 @@ class FitExperiment(Experiment):
             found[same] = Scene(labels, dict(m.set), keys)
         return list(found.values())
 
+    def version(self, alternative: Alternative) -> tuple[FitExperiment, list[str]]:
+        """The fit of another model, and what it lacks: the same measurements, and the parameters that it has.
+
+        Raises
+        ------
+        InputError
+            A model that cannot be fitted, told with its name.
+        """
+        try:
+            tissue = alternative.tissue(self.tissue)
+            kept, said = lacking(tissue, self.parameter, alternative)
+            measured = [m.model_copy(update={"set": {p: v for p, v in m.set.items() if has(tissue, p)}})
+                        for m in self.measurement]  # fmt: skip
+            lost = [p for m in self.measurement for p in m.set if not has(tissue, p)]
+            said += [f"has no {path}, which measurements set" for path in dict.fromkeys(lost)]
+            made = self.model_copy(
+                update={
+                    "tissue": TissueSpec(inline=tissue),
+                    "reading": alternative.reading or self.reading,
+                    "parameter": (*kept, *alternative.parameter),
+                    "measurement": tuple(measured),
+                    "alternative": (),
+                    "criterion": (),
+                    "round_trip": None,
+                }
+            )
+            if not made.parameter:
+                raise InputError.of("parameter", "none", "nothing is left to fit", "Give it parameters of its own.")
+            made.check()
+        except InputError as error:
+            raise InputError(f"alternative {alternative.name}: {error.message}", remedy=error.remedy) from None
+        return made, said
+
     def room(self) -> Room:
         """The tissues that the parameters make."""
         from livlab.kinds.fit.room import Room
@@ -300,7 +302,8 @@ class FitExperiment(Experiment):
         """With the tissue written out in full."""
         if self.tissue.inline is not None and not self.tissue.set:
             return self
-        return self.model_copy(update={"tissue": self.tissue.resolve()})
+        made = tuple(a.resolve(self.tissue) for a in self.alternative)
+        return self.model_copy(update={"tissue": self.tissue.resolve(), "alternative": made})
 
     def datasets(self) -> tuple[str, ...]:
         """Datasets of the tissue and of the measurements that are to be had, sorted."""
@@ -308,7 +311,18 @@ class FitExperiment(Experiment):
 
         there, missing = set(datasets.names()), datasets.unavailable()
         found = {m.dataset for m in self.measurement if m.dataset in there or m.dataset not in missing}
-        return tuple(sorted({*self.tissue.build().dataset_names(), *found}))
+        tissues = [self.tissue.build(), *(a.tissue(self.tissue) for a in self.alternative)]
+        return tuple(sorted({*(name for tissue in tissues for name in tissue.dataset_names()), *found}))
 
 
-__all__ = ["FitCriterion", "FitExperiment", "FitParameter", "Measurement", "RoundTrip", "Scene", "Search"]
+__all__ = [
+    "AS_GIVEN",
+    "Alternative",
+    "FitCriterion",
+    "FitExperiment",
+    "FitParameter",
+    "Measurement",
+    "RoundTrip",
+    "Scene",
+    "Search",
+]

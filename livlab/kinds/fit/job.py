@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from livlab.fitting.options import FitOptions
 from livlab.fitting.outcome import FitOutcome
 from livlab.kinds.fit import coverage as fit_coverage
 from livlab.kinds.fit import tables
+from livlab.kinds.fit.alternatives import MODELS, SPREAD, VALUES, Alternatives, OtherModel, models_of
 from livlab.kinds.fit.config import FitExperiment, Measurement
 from livlab.kinds.fit.round_trip import SEEDS, Trip, round_trip
 from livlab.kinds.fit.setup import FitSetup, MeasuredCurve
@@ -45,8 +46,8 @@ def prepare(config: FitExperiment) -> Callable[[Run], None]:
         )
     there = [(m.label, k) for m, k in zip(config.measurement, known, strict=True) if k.dataset]
     curves = {label: MeasuredCurve.known(k, grid) for label, k in there}
-    setup = FitSetup.of(config, curves)
-    return lambda run: _work(run, setup, known)
+    setup, models = FitSetup.of(config, curves), models_of(config, curves)
+    return lambda run: _work(run, setup, models, known)
 
 
 def _load(m: Measurement) -> Known:
@@ -55,11 +56,11 @@ def _load(m: Measurement) -> Known:
     )
 
 
-def _work(run: Run, setup: FitSetup, known: Sequence[Known]) -> None:
+def _work(run: Run, setup: FitSetup, models: Mapping[str, OtherModel], known: Sequence[Known]) -> None:
     config, forward, targets = setup.config, setup.forward, setup.targets
     begun = time.perf_counter()
     name_device(run.info, config.variant)
-    run.progress.begin(["fit", *(["round trips"] if config.round_trip else [])])
+    run.progress.begin(["fit", *(["alternatives"] if models else []), *(["round trips"] if config.round_trip else [])])
 
     def tell(stage: str, share: float) -> None:
         run.progress.advance("fit", min(share, 0.999), stage)
@@ -92,6 +93,8 @@ def _work(run: Run, setup: FitSetup, known: Sequence[Known]) -> None:
     costs = tables.costs(config.reading.name, found, forward, best)
     if config.bench:
         run.write("bench.json", json.dumps(_bench(setup, found), separators=(",", ":"), allow_nan=False))
+    if models:
+        _alternatives(run, setup, models, found)
     trips = _round_trips(run, setup) if config.round_trip is not None else []
     checked: dict[str, Table] = {}
     if trips:
@@ -103,6 +106,26 @@ def _work(run: Run, setup: FitSetup, known: Sequence[Known]) -> None:
     reasons = {k.spec.label: k.reason for k in known}
     claims = tables.claims(config, scores, found, fit_coverage.overall(trips), reasons, seconds)
     run.finish(claims, checked, (tables.COSTS, costs))
+
+
+def _alternatives(run: Run, setup: FitSetup, models: Mapping[str, OtherModel], own: FitOutcome) -> None:
+    """The other models fitted, weighed and written."""
+    names = list(models)
+
+    def tell(name: str, share: float) -> None:
+        run.progress.advance("alternatives", min((names.index(name) + share) / len(names), 0.999), name)
+
+    try:
+        made = Alternatives.fitted(setup, own, models, progress=tell, stopping=run.stopping.is_set)
+    except Interrupted:
+        run.stop_if_asked()
+        raise
+    run.progress.advance("alternatives", 1.0)
+    run.write_table("alternatives.csv", MODELS, made.table())
+    run.write_table("alternative_values.csv", VALUES, made.values())
+    run.write_table("spread.csv", SPREAD, made.spread_table())
+    for text in made.notes():
+        run.note(text)
 
 
 def _round_trips(run: Run, setup: FitSetup) -> list[Trip]:

@@ -14,6 +14,26 @@ from livlab.reports.tables import ReportSection, Text, from_frame, number
 _HEADINGS = {"sd": "standard deviation", "drift": "moved by fresh draws", "lower": "from", "upper": "to"}
 
 
+SPREAD_CAPTION = (
+    "What other models say beside each interval: the interval of the fit alone, the mean weighed by how well each "
+    "model explains the data, the interval of that mixture, and the least and largest value of all models."
+)
+_SPREAD_HEADINGS = {
+    "own": "its interval",
+    "weighted": "over the models, weighted",
+    "whole": "interval over the models",
+    "values": "values, least to most",
+}
+_MODELS = (
+    "alternative", "loss", "chi2_per_dof", "p", "numbers", "parameters", "aic", "bic", "weight_aic", "weight_bic",
+    "settled", "lacks", "error",
+)  # fmt: skip
+_MODEL_HEADINGS = {
+    "alternative": "model", "chi2_per_dof": "χ² per degree of freedom", "aic": "AIC", "bic": "BIC",
+    "weight_aic": "weight by AIC", "weight_bic": "weight by BIC", "numbers": "numbers compared",
+}  # fmt: skip
+
+
 def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     """Sections of a run of kind "fit"."""
     if run.result is None or not len(run.table("fit")):
@@ -54,6 +74,8 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
         values.content.append(
             pictures.add("fit-correlation", draw.correlation(run.table("correlation")), "Correlation at the optimum.")
         )
+    if len(run.table("spread")):
+        values.content.append(from_frame(_beside(run.table("spread")), SPREAD_CAPTION, titles=_SPREAD_HEADINGS))
     search = ReportSection("search", "The search, and its price")
     search.content.extend(
         [
@@ -69,7 +91,54 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
             from_frame(run.table("recordings"), "The recorded walks.", folded="Recordings"),
         ]
     )
-    return [curves, *bench_section(run), values, round_trip_section(run, pictures), search]
+    return [curves, *bench_section(run), values, *_alternatives(run), round_trip_section(run, pictures), search]
+
+
+def _beside(spread: pd.DataFrame) -> pd.DataFrame:
+    """Each parameter's own interval, and beside it what the models together say."""
+
+    def ends(low: float, high: float) -> str:
+        return f"{number(low, 3)} to {number(high, 3)}" if pd.notna(low) and pd.notna(high) else "–"
+
+    return pd.DataFrame(
+        {
+            "parameter": spread["parameter"],
+            "unit": ["" if pd.isna(u) else str(u) for u in spread["unit"]],
+            "own": [ends(a, b) for a, b in zip(spread["lower"], spread["upper"], strict=True)],
+            "weighted": spread["weighted"],
+            "whole": [ends(a, b) for a, b in zip(spread["weighted_lower"], spread["weighted_upper"], strict=True)],
+            "values": [ends(a, b) for a, b in zip(spread["least"], spread["most"], strict=True)],
+            "models": spread["models"],
+        }
+    )
+
+
+def _alternatives(run: RunData) -> list[ReportSection]:
+    """The other models: how well each explains the data, and what each says."""
+    models, each = run.table("alternatives"), run.table("alternative_values")
+    if not len(models):
+        return []
+    section = ReportSection("alternatives", "Other models of the same data")
+    shown = models.dropna(axis="columns", how="all")
+    section.content.extend(
+        [
+            from_frame(
+                shown,
+                "Each model fitted to the same curves. The weight is exp(−Δ/2) of its criterion (Akaike 1974; Schwarz "
+                "1978) over the sum; it compares these models only, and says of none that it is right.",
+                only=[c for c in _MODELS if c in shown],
+                titles=_MODEL_HEADINGS,
+            ),
+            from_frame(
+                each,
+                "What each model says.",
+                only=["parameter", "alternative", "value", "lower", "upper", "unit", "status", "weight"],
+                titles=_HEADINGS,
+                folded="Values by model",
+            ),
+        ]
+    )
+    return [section]
 
 
 def _verdict(run: RunData, found: pd.DataFrame) -> str:

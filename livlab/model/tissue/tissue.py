@@ -244,6 +244,26 @@ def override(tissue: Tissue, changes: Mapping[str, Any], *, by: str = "user") ->
     return made
 
 
+def value_at(tissue: Tissue, path: str) -> Any:
+    """The value that a path leads to, as `override` takes it.
+
+    Raises
+    ------
+    ConfigError
+        A path that leads nowhere.
+
+    Examples
+    --------
+    >>> from livlab.model.tissue.presets import load_preset
+    >>> value_at(load_preset("liver"), "layers.parenchyma.elements.blood.fraction")
+    0.084
+    """
+    place, key = _place(_plain(tissue.model_dump()), path)
+    if isinstance(place, dict) and key not in place:
+        raise _lost(path, str(key), path.rpartition(".")[0], list(place))
+    return place[key]
+
+
 def _thickness(layer: Layer) -> str:
     return "endless" if math.isinf(layer.thickness_mm) else f"{layer.thickness_mm:g} mm"
 
