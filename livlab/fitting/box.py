@@ -25,6 +25,9 @@ BY_CHANCE = 48
 POINTS = 128
 """Points that tell what share of the box holds no tissue."""
 
+INSET = 1e-6
+"""Share of the box by which its corners are drawn in: an open bound (a length > 0) is no wall."""
+
 HALVINGS = 32
 """Bisections of a way that leads out of the tissues."""
 
@@ -92,7 +95,7 @@ def survey(at: At, start: FloatArray, seed: int = 0) -> BoxSurvey:
     seed
         Of the corners and points that are tried by chance.
     """
-    tried = [(corner, why_not(at, corner)) for corner in corners(len(start), seed)]
+    tried = [(corner, why_not(at, _drawn_in(corner))) for corner in corners(len(start), seed)]
     wrong = [error for _, error in tried if error is not None]
     if not wrong:
         return BoxSurvey()
@@ -116,19 +119,23 @@ def corners(dimensions: int, seed: int) -> list[FloatArray]:
     return [low, high, *one, *(high - one), *random]
 
 
+def _drawn_in(corner: FloatArray) -> FloatArray:
+    return np.clip(corner, INSET, 1.0 - INSET)
+
+
 def way_out(at: At, start: FloatArray, k: int, end: float) -> Limit | None:
     """Where the way of one parameter to an end leaves the tissues, with the others where they leave most room.
 
     None if it does not: with the others at their start, at their least or at their most the end is a tissue.
     """
     best: Limit | None = None
-    for others in (start, np.zeros_like(start), np.ones_like(start)):
+    for others in (start, _drawn_in(np.zeros_like(start)), _drawn_in(np.ones_like(start))):
         begin, there = others.copy(), others.copy()
         begin[k], there[k] = start[k], end
         if why_not(at, begin) is not None:
             continue
         limit = between(at, begin, there, k)
-        if limit is None:
+        if limit is None or abs(limit.at[k] - end) <= INSET:
             return None
         if best is None or abs(limit.at[k] - end) < abs(best.at[k] - end):
             best = limit
@@ -173,6 +180,7 @@ def refused(limit: Limit, field: str, bound: str, given: float, value: float, na
         The last value that makes a tissue.
     """
     where = "above" if limit.high else "below"
+    value = value if abs(value) > 2.0 * INSET * abs(given) else 0.0
     return InputError.of(
         f"{field}.{bound}", given,
         f"does not fit, since there is no tissue {where} {name} = {value:.4g}, whatever the others are: "

@@ -52,3 +52,12 @@ def test_a_lower_end_can_be_out_of_reach():
     assert "parameter water.low = 0.2: does not fit" in told
     assert "no tissue below water = 0.25" in told
     assert "Give low = 0.25" in told
+
+
+def test_an_open_bound_is_no_wall():
+    def at(u):
+        if not u.min() > 0.0:
+            raise InputError.of("thickness_mm", 0.0, "must be greater than 0", "Give more.")
+
+    found = survey(at, np.full(2, 0.5))
+    assert found.error is None and not found.limits
