@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from livlab.acquire.photographs.error_budget import ErrorBudget
     from livlab.acquire.photographs.extract import Extracted
+    from livlab.acquire.photographs.light_table import LightReport
     from livlab.acquire.photographs.rig import PhotographedRig
     from livlab.brdf.fit.loss import LossName
 
@@ -151,6 +152,23 @@ def compare(
 
 
 @app.command()
+def lights(
+    rig: Annotated[Path, typer.Argument(metavar="FOLDER", help="As of extract; mirror balls alone are enough.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Where each light is and how strong: as given, by highlights, and as the shading of the sphere has it."""
+    from livlab.acquire.photographs.light_table import light_table
+
+    found = light_table(rig)
+    if as_json:
+        rows = json.loads(found.table.to_json(orient="records"))
+        record = {"name": found.name, "lights": rows, "warnings": list(found.warnings), "notes": list(found.notes)}
+        typer.echo(json.dumps(record, indent=2, ensure_ascii=False))
+        return
+    _show_lights(found)
+
+
+@app.command()
 def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Samples or a table.")],
     output: Annotated[Path, typer.Option("-o", "--output", help=".png, .svg or .pdf.")],
@@ -235,6 +253,8 @@ def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) ->
         worst = max(h.sd_rad for balls in rig.highlights for h in balls)
         table.add_row("light directions", f"from mirror balls, +- {np.rad2deg(worst):.2f} degrees at worst")
     table.add_row("lights", f"{near} near, {lights - near} distant")
+    if found.lights is not None:
+        table.add_row("one reflectance for all lights", found.lights.told)
     for name, verdict in (("exposure stack", rig.linearity), ("sphere", found.linearity)):
         if verdict is not None:
             table.add_row(f"linearity, {name}", verdict.told())
@@ -288,6 +308,8 @@ def _extracted(rig: PhotographedRig, found: Extracted, parts: ErrorBudget | None
         "scale": found.samples.attrs["scale"],
         "circle_px": None if rig.pose is None else list(rig.pose.circle_px),
         "circle_sd_px": None if rig.pose is None else list(rig.pose.circle_sd_px),
+        "lights_residual": None if found.lights is None else number(found.lights.residual),
+        "lights_noise": None if found.lights is None else number(found.lights.noise),
         "notes": list(rig.notes),
         "not_corrected": list(found.unresolved),
         "warnings": list(found.warnings),
@@ -316,6 +338,42 @@ def _show_table(table: pd.DataFrame, title: str, *, as_json: bool) -> None:
     for row in table.itertuples(index=False):
         shown.add_row(*(f"{x:.5g}" if isinstance(x, float) else escape(str(x)) for x in row))
     table_console(WIDTH).print(shown)
+
+
+def _show_lights(found: LightReport) -> None:
+    from rich.table import Table
+
+    heads = {
+        "light": "light", "from_camera_deg": "from camera, deg", "around_deg": "round it, deg", "sd_deg": "+-",
+        "highlight_deg": "highlight, deg", "highlight_around_deg": "round it, deg", "highlight_sd_deg": "+-",
+        "apart_deg": "apart, deg", "shading_deg": "shading off, deg", "shading_sd_deg": "+-", "gain": "gain",
+        "gain_sd": "+-", "residual": "residual", "clipped": "clipped", "clipped_highlight": "highlight clipped",
+        "below_sr": "source below, sr", "verdict": "verdict",
+    }  # fmt: skip
+    shown = Table(header_style="bold", box=None, pad_edge=False, title=found.name)
+    names = [name for name in heads if name in found.table and not found.table[name].isna().all()]
+    for name in names:
+        shown.add_column(heads[name], justify="left" if name == "verdict" else "right")
+    for row in found.table.to_dict("records"):
+        shown.add_row(*(_light_cell(name, row[name]) for name in names))
+    console = _console()
+    console.print(shown)
+    if found.check is not None:
+        console.print(f"all together: {found.check.told}", markup=False, highlight=False)
+    for text in found.notes:
+        console.print(f"note: {text}", markup=False, highlight=False)
+    for text in found.warnings:
+        console.print(f"warning: {text}", markup=False, highlight=False, style="yellow")
+
+
+def _light_cell(name: str, value: float | int | str) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    if math.isnan(value):
+        return "-"
+    if name in ("residual", "clipped", "clipped_highlight"):
+        return f"{value:.1%}"
+    return f"{value:.3f}" if name.startswith(("gain", "below")) else f"{value:.2f}"
 
 
 def _budget(rig: PhotographedRig, samples: xr.Dataset, which: str, loss: str) -> ErrorBudget:

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from livlab.acquire.photographs.linearity import response
-from livlab.acquire.photographs.merge import Development, Merged, estimate_noise, merge
+from livlab.acquire.photographs.merge import Development, Merged, merge
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.pose import all_round, sphere_pose
 from livlab.acquire.photographs.read import Photograph, read_photograph
 from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig
 from livlab.acquire.photographs.rig_file import within
+from livlab.acquire.photographs.rig_pictures import with_noise
 from livlab.brdf.geometry import Camera, Light
 from livlab.errors import InputError
 
@@ -71,10 +72,7 @@ def load_folder(
     if camera is None:
         middle = [[1.0, 0.0, (columns - 1) / 2], [0.0, 1.0, (rows - 1) / 2], [0.0, 0.0, 1.0]]
         camera = Camera(columns, rows, np.array(middle), orthographic=True)
-    plain = Development(response(kind))
-    value = plain.linear(first, 1.0)[0]
-    noise = estimate_noise(value)
-    development = Development(plain.response, noise)
+    development, noise_known = with_noise(Development(response(kind)), first, 1.0)
 
     def develop(k: int) -> Merged:
         return merge([read_photograph(within(folder, names[k]))], [1.0], development)
@@ -104,7 +102,7 @@ def load_folder(
         light_covariances=tuple(tilt_covariance(d, np.deg2rad(light_sd_deg)) for d in turned),
         white=np.ones(channels),
         mask=mask,
-        noise_known="estimated" if noise is not None else "unknown",
+        noise_known=noise_known,
         files={"pictures": list(names)},
         notes=(*pose.notes, *_notes(camera, first)),
         warnings=tuple(warnings),

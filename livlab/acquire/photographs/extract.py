@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from livlab.acquire.photographs import check
+from livlab.acquire.photographs.light_check import LightCheck
+from livlab.acquire.photographs.light_table import at_pixels, judged, shading_of, thinned_pixels
 from livlab.acquire.photographs.linearity import Linearity
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.rig import MOST_SAMPLES, PhotographedRig
@@ -60,6 +61,8 @@ class Extracted:
         For each light; None where its shadow is not in view.
     linearity
         The verdict of the sphere itself, if it is matte.
+    lights
+        What the pictures say about the lights; None where too few pixels are usable.
     unresolved
         Faults that no calibration was given for, with what the pictures say about them.
     warnings
@@ -70,6 +73,7 @@ class Extracted:
     stride: int
     shadows: tuple[Shadow | None, ...]
     linearity: Linearity | None
+    lights: LightCheck | None
     unresolved: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -123,7 +127,6 @@ def extract_samples(
     )
     look = _Shadows(rig)
     parts, tallies, shadows, kept = [], [], [], []
-    seen: dict[int, FloatArray | None] = {}
     try:
         for part in extraction.by_light():
             k = int(part["light"].values[0])
@@ -131,29 +134,31 @@ def extract_samples(
             parts.append(part.drop_vars([n for n in part.variables if "sample" not in part[n].dims and n != "channel"]))
             tallies.append({**{n: int(part[n][0]) for n in _COUNTS}, "clipped": clipped})
             shadows.append(look(k))
-            seen[k] = look.lit_from(k)
             kept.append(k)
             if progress is not None:
                 progress(k + 1, len(rig.lights))
     except InputError as error:
         if "no sample" not in error.message:
             raise
-        why = " ".join(_elsewhere(rig, look, seen))
+        check = look.judged()
+        why = " ".join(check.warnings if check is not None and check.misplaced else ())
         raise InputError(error.message, remedy=why or f"{error.remedy} (--skip-empty)") from error
     if not parts:
         raise InputError.of("lights", len(rig.lights), "none gives a sample", "Check where the lights stand.")
     samples = xr.concat(
         parts, dim="sample", data_vars="minimal", coords="minimal", compat="override", join="override"
     ).assign_attrs(parts[0].attrs, stride=stride, rig=rig.name)
+    samples = samples.assign_attrs(lamp_size="given" if rig.sized else "not given")
     samples = _described(rig, samples, dict(zip(kept, tallies, strict=True)))
-    elsewhere = _elsewhere(rig, look, seen)
-    samples = _scaled(rig, samples, " ".join(elsewhere) or "See that the lights were on.")
+    check = look.judged()
+    misplaced = check is not None and check.misplaced
+    samples = _scaled(rig, samples, check.warnings[0] if misplaced and check else "See that the lights were on.")
     matte = None
-    if not elsewhere:
+    if not misplaced:
         with contextlib.suppress(InputError):  # too little of it is lit
             matte = rig.matte_linearity()
-    warnings = _warnings(rig, elsewhere, shadows, matte)
-    return Extracted(samples, stride, tuple(shadows), matte, tuple(_unresolved(rig, shadows)), warnings)
+    warnings = _warnings(rig, check, shadows, matte)
+    return Extracted(samples, stride, tuple(shadows), matte, check, tuple(_unresolved(rig, shadows)), warnings)
 
 
 _COUNTS = ("used", "dropped_not_finite", "dropped_masked", "dropped_saturated")
@@ -175,12 +180,6 @@ def _spread(light: Any, count: int) -> Any:
     from dataclasses import replace
 
     return replace(light, intensity=np.broadcast_to(light.intensity, count).copy())
-
-
-def _elsewhere(rig: PhotographedRig, look: _Shadows, seen: Mapping[int, FloatArray | None]) -> list[str]:
-    """What the shading of all pictures says against the lights' directions."""
-    every = [seen[k] if k in seen else look.lit_from(k) for k in range(len(rig.lights))]
-    return check.directions(rig.lights, rig.camera, rig.sphere, every)
 
 
 def _scaled(rig: PhotographedRig, samples: xr.Dataset, dark: str) -> xr.Dataset:
@@ -252,16 +251,26 @@ class _Shadows:
         ring = np.concatenate([middle + f * (curve - middle) for f in (1.1, 1.15, 1.2)])
         inside = np.all((ring >= 0) & (ring <= [rig.camera.width - 1, rig.camera.height - 1]), axis=1)
         self.ring = np.round(ring[inside]).astype(int)
+        self.few = thinned_pixels(rig)
+        self.kept: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def at(self, k: int) -> NDArray[np.floating]:
         """Radiance of the pixels that are looked at, mean over the channels."""
         return np.asarray(self.rig.frames[k].value[self.rows, self.columns].mean(axis=-1))
 
-    def lit_from(self, k: int) -> FloatArray | None:
-        """Where the sphere looks lit from."""
-        return check.seen_direction(self.hits.normals, self.at(k))
+    def _few(self, k: int) -> tuple[FloatArray, FloatArray]:
+        """Radiance and variance of the pixels by which lights are judged."""
+        if k not in self.kept:
+            self.kept[k] = at_pixels(self.rig.frames[k], *self.few)
+        return self.kept[k]
+
+    def judged(self) -> LightCheck | None:
+        """What the shading of all pictures says about the lights."""
+        every = [self._few(k) for k in range(len(self.rig.lights))]
+        return judged(self.rig, shading_of(self.rig, *self.few, [v for v, _ in every], [n for _, n in every]))
 
     def __call__(self, k: int) -> Shadow | None:
+        self._few(k)
         towards, _ = self.rig.lights[k].at(self.hits.points_mm)
         cosine = np.einsum("ni,ni->n", towards, self.hits.normals)
         value = self.rig.frames[k].value
@@ -302,11 +311,13 @@ def _shadow_warnings(shadows: list[Shadow | None]) -> list[str]:
 
 
 def _warnings(
-    rig: PhotographedRig, elsewhere: list[str], shadows: list[Shadow | None], matte: Linearity | None
+    rig: PhotographedRig, check: LightCheck | None, shadows: list[Shadow | None], matte: Linearity | None
 ) -> tuple[str, ...]:
     """What is likely wrong with the rig, its pictures and its lights."""
     # Where the lights are elsewhere, what is taken for a shadow is none.
-    warnings = [*rig.warnings, *(elsewhere or _shadow_warnings(shadows)), *_picture_warnings(rig)]
+    misplaced = check is not None and check.misplaced
+    warnings = [*rig.warnings, *(check.warnings if check is not None else ())]
+    warnings += [*([] if misplaced else _shadow_warnings(shadows)), *_picture_warnings(rig)]
     said = matte.contradiction("linear once decoded") if matte is not None else ""
     if said and rig.linearity is None:
         warnings.append(said)
@@ -314,16 +325,27 @@ def _warnings(
 
 
 def _picture_warnings(rig: PhotographedRig) -> list[str]:
-    """What was said about single pictures, each kind once."""
-    found: dict[str, tuple[str, list[int]]] = {}
+    """What was said about single pictures, each kind once, with the sum of what was counted."""
+    counted: dict[str, dict[int, int]] = {}
+    remarked: dict[str, tuple[str, list[int]]] = {}
     for k, merged in rig.frames.told.items():
-        notes = list(merged.notes)
-        if merged.not_finite > 0:
-            notes.append(f"{merged.not_finite:.2%} of the pixels are NaN or infinite in the file and left out.")
-        for note in notes:
+        for said, count in merged.counts.items():
+            counted.setdefault(said, {})[k] = count
+        for note in merged.remarks:
             kind = " ".join(word for word in note.split() if not any(c.isdigit() for c in word))
-            found.setdefault(kind, (note, []))[1].append(k)
-    return [f"Light {ks[0]}{f' and {len(ks) - 1} more' if len(ks) > 1 else ''}: {note}" for note, ks in found.values()]
+            remarked.setdefault(kind, (note, []))[1].append(k)
+    found = []
+    for said, by_light in counted.items():
+        worst = max(by_light, key=lambda k: by_light[k])
+        most = f" (most under light {worst}: {by_light[worst]})" if len(by_light) > 1 else ""
+        found.append(f"{_lights(list(by_light))}: {sum(by_light.values())} {said}{most}")
+    for note, ks in remarked.values():
+        found.append(f"{_lights(ks)}: {note}" if len(ks) == 1 else f"{_lights(ks)}, for instance {ks[0]}: {note}")
+    return found
+
+
+def _lights(ks: list[int]) -> str:
+    return f"Light {ks[0]}" if len(ks) == 1 else f"{len(ks)} lights"
 
 
 def _unresolved(rig: PhotographedRig, shadows: list[Shadow | None]) -> list[str]:
@@ -346,6 +368,8 @@ def _unresolved(rig: PhotographedRig, shadows: list[Shadow | None]) -> list[str]
         found.append("scale: no white reference, the BRDF is known up to a factor")
     if rig.camera.orthographic:
         found.append("perspective: an orthographic camera is assumed")
+    if rig.noise_known == "quantisation":
+        found.append("noise: none seen, samples have the error of the steps of the stored values alone")
     if rig.noise_known == "unknown":
         found.append("noise: not known, samples have no standard error")
     return found

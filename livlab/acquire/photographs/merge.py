@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,10 @@ SATURATION = 0.99
 
 _DISAGREE = 0.05
 _LEAST_LEVEL = 0.03
+
+CLIPPED = "values are clipped and left out."
+CLIPPED_IN_ALL = "values clip in every exposure: the shortest is too long for the highlight."
+NOT_FINITE = "values are NaN or infinite in the file and left out."
 
 _BLOCK = 6_000_000
 """Values that are merged at a time: a large photograph takes several times its size in double precision."""
@@ -66,6 +70,12 @@ class Development:
         """Step of the stored values as a share of full scale; 0 of floating point."""
         return 1.0 / photograph.full_scale if np.isfinite(photograph.full_scale) else 0.0
 
+    def stored_variance(self, photograph: Photograph, stored: Float32Array) -> NDArray[np.floating]:
+        """Variance of the linear values by how they were stored: the step, (q f')² / 12, and lossy compression."""
+        slope = (photograph.response or self.response).slope(stored)
+        step = self.quantum(photograph)
+        return np.asarray((step * slope) ** 2 * (1 / 12 + photograph.lost()))
+
     def linear(
         self, photograph: Photograph, exposure: float, rows: slice | None = None
     ) -> tuple[Float32Array, Float32Array, NDArray[np.bool_]]:
@@ -77,13 +87,14 @@ class Development:
         clipped = np.zeros(stored.shape, dtype=bool)
         if np.isfinite(photograph.full_scale):
             clipped = stored >= self.saturation
-        value = np.asarray(self.response.decode(stored), dtype=np.float32)
+        answer = photograph.response or self.response
+        value = np.asarray(answer.decode(stored), dtype=np.float32)
         if self.noise is None:
             variance = np.full(value.shape, np.nan, dtype=np.float32)
         else:
-            step = self.quantum(photograph) * self.response.slope(stored)
+            steps = self.stored_variance(photograph, stored)
             variance = np.asarray(
-                self.noise.read**2 + self.noise.gain * np.clip(value, 0, None) + step**2 / 12, dtype=np.float32
+                self.noise.read**2 + self.noise.gain * np.clip(value, 0, None) + steps, dtype=np.float32
             )
         dark = self._dark(exposure, value.shape, rows)
         if dark is not None:
@@ -123,8 +134,10 @@ class Merged:
         Share that a file gave as NaN or infinite.
     agreement
         For each exposure the median ratio of its values to those of the next shorter one; NaN where none compare.
-    notes
+    remarks
         What a reader should know.
+    counts
+        The same of what was counted: how many, by what is said after the number.
     """
 
     value: Float32Array
@@ -132,7 +145,13 @@ class Merged:
     clipped: float
     not_finite: float
     agreement: tuple[float, ...]
-    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that a reader should know of this picture."""
+        return (*self.remarks, *(f"{count} {said}" for said, count in self.counts.items()))
 
 
 def merge(photographs: Sequence[Photograph], exposures: Sequence[float], development: Development) -> Merged:
@@ -166,22 +185,21 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
     value = np.empty(first.shape, dtype=np.float32)
     variance = np.empty(first.shape, dtype=np.float32)
     clipped = lost = 0
-    tall = max(_BLOCK // (first.shape[1] * first.shape[2]), 1)
+    tall = max(_BLOCK // (first.shape[1] * first.shape[2]) // 8 * 8, 8)
     for start in range(0, first.shape[0], tall):
         rows = slice(start, start + tall)
-        frames = [
-            development.linear(replace(p, values=p.values[rows]), t, rows)
-            for p, t in zip(photographs, exposures, strict=True)
-        ]
+        frames = [development.linear(p.part(rows), t, rows) for p, t in zip(photographs, exposures, strict=True)]
         value[rows], variance[rows] = _weighted(frames, exposures, development.noise)
         clipped += int(np.all([c for _, _, c in frames], axis=0).sum())
         lost += int(np.all([~np.isfinite(x) for x, _, _ in frames], axis=0).sum())
     agreement, notes = _agreement(photographs, exposures, development)
-    if clipped and len(photographs) > 1:
-        notes.append(f"{clipped} values clip in every exposure: the shortest is too long for the highlight.")
-    elif clipped:
-        notes.append(f"{clipped} values are clipped and left out.")
-    return Merged(value, variance, clipped / first.size, lost / first.size, agreement, tuple(notes))
+    counts = {}
+    if clipped:
+        counts[CLIPPED if len(photographs) == 1 else CLIPPED_IN_ALL] = clipped
+    if lost:
+        counts[NOT_FINITE] = lost
+    shares = clipped / first.size, lost / first.size
+    return Merged(value, variance, *shares, agreement, tuple(notes), counts)
 
 
 _Frame = tuple[Float32Array, Float32Array, NDArray[np.bool_]]
@@ -227,10 +245,7 @@ def _agreement(
     if len(photographs) == 1:
         return (1.0,), []
     rows = slice(None, None, max(photographs[0].values.size // _BLOCK, 1))
-    frames = [
-        development.linear(replace(p, values=p.values[rows]), t, rows)
-        for p, t in zip(photographs, exposures, strict=True)
-    ]
+    frames = [development.linear(p.part(rows), t, rows) for p, t in zip(photographs, exposures, strict=True)]
     for i, j in itertools.pairwise(np.argsort(exposures)):
         (x, _, clip_x), (y, _, clip_y) = frames[i], frames[j]
         both = ~clip_x & ~clip_y & (x > _LEAST_LEVEL) & np.isfinite(y)
@@ -280,17 +295,19 @@ def flat_field(
     return np.asarray(flat)
 
 
-def estimate_noise(value: NDArray[np.floating]) -> Noise | None:
+def estimate_noise(value: NDArray[np.floating], stored: NDArray[np.floating] | float = 0.0) -> Noise | None:
     """Noise from one linear picture: differences of neighbours by level; texture and edges make it an upper bound.
 
+    `stored` is the part of each value's variance that storing it makes, which is told beside and not again here.
     None where the picture is too small or does not vary.
     """
     x = np.asarray(value, dtype=np.float64)
     x = x if x.ndim == 3 else x[..., None]
+    steps = np.broadcast_to(np.asarray(stored, dtype=np.float64), x.shape)[:, 1:-1]
     bend = (x[:, :-2] + x[:, 2:] - 2 * x[:, 1:-1]) / np.sqrt(6.0)
     level = (x[:, :-2] + x[:, 2:] + x[:, 1:-1]) / 3
     use = np.isfinite(bend) & np.isfinite(level)
-    level, bend = level[use], bend[use]
+    level, bend, steps = level[use], bend[use], steps[use]
     if level.size < 500:
         return None
     edges = np.quantile(level, np.linspace(0, 1, 21))
@@ -298,7 +315,8 @@ def estimate_noise(value: NDArray[np.floating]) -> Noise | None:
     for low, high in itertools.pairwise(edges):
         here = (level >= low) & (level <= high)
         if here.sum() > 50:
-            points.append((float(level[here].mean()), float((1.4826 * np.median(np.abs(bend[here]))) ** 2)))
+            seen = float((1.4826 * np.median(np.abs(bend[here]))) ** 2)
+            points.append((float(level[here].mean()), max(seen - float(steps[here].mean()), 0.0)))
     at, variance = np.array(points).T
     from scipy import optimize
 
@@ -324,6 +342,8 @@ def coloured(merged: Merged, colour: ColourCalibration | None, *, grey: bool) ->
         value = np.asarray(value @ colour.matrix.T.astype(np.float32))
         variance = np.asarray(variance @ (colour.matrix.T**2).astype(np.float32))
     if grey:
-        variance = variance.sum(axis=2, keepdims=True) / np.float32(value.shape[2] ** 2)
+        # Channels that are the same numbers err alike: a grey picture stored as RGB is one measurement, not three.
+        alike = value.shape[2] > 1 and bool((value[..., :1] == value[..., 1:])[np.isfinite(value[..., 1:])].all())
+        variance = variance.sum(axis=2, keepdims=True) / np.float32(value.shape[2] ** (1 if alike else 2))
         value = value.mean(axis=2, keepdims=True)
     return replace(merged, value=value, variance=variance)

@@ -60,9 +60,7 @@ class DevelopedFrames:
                 )
             self._last = (k, merged)
             empty = np.empty((0, 0, 0), dtype=np.float32)
-            self.told[k] = Merged(
-                empty, empty, merged.clipped, merged.not_finite, merged.agreement, merged.notes
-            )  # what was said about it, without its pixels
+            self.told[k] = replace(merged, value=empty, variance=empty)  # what was said about it, without its pixels
         return self._last[1]
 
 
@@ -122,13 +120,15 @@ class PhotographedRig:
     mask
         (rows, columns) True where usable; None for everywhere.
     noise_known
-        "declared", "estimated" or "unknown".
+        "declared", "estimated", "quantisation" (only the steps of the stored values) or "unknown".
     linearity
         What an exposure stack said; None without one.
     highlights
         For each light what the mirror balls showed.
     calibration, colour
         Of the camera and its colours; None without.
+    sized
+        Whether the solid angle of every light was said.
     cut
         Whether a part of the sphere may lie outside the pictures.
     corrected
@@ -157,6 +157,7 @@ class PhotographedRig:
     highlights: tuple[tuple[Highlight, ...], ...] = ()
     calibration: CameraCalibration | None = None
     colour: ColourCalibration | None = None
+    sized: bool = False
     cut: bool = False
     corrected: frozenset[str] = frozenset()
     files: dict[str, list[str]] = field(default_factory=dict)

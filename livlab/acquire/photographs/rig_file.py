@@ -72,7 +72,9 @@ class SphereTable(_Table):
     radius_mm: Positive | None = Field(None, description="Radius; an orthographic camera reads it off the picture.")
     radius_sd_mm: float = Field(0.0, ge=0, description="Standard uncertainty of the radius.")
     outline: FilePath | None = Field(None, description="Silhouette or mask; absent: the maximum over the lights.")
-    kind: Literal["all-round", "silhouette", "single"] | None = Field(None, description="What the outline picture is.")
+    kind: Literal["all-round", "silhouette", "single", "mask"] | None = Field(
+        None, description="What the outline picture is; a mask is not decoded. Absent: a mask if it holds two values."
+    )
     near: Vector | None = Field(None, description="Roughly where it is: u, v, radius in px.")
     cut: bool = Field(False, description="Take a sphere of which a part lies outside the pictures.")
     centre_mm: Vector | None = Field(None, description="Centre, where it is known.")
@@ -92,6 +94,15 @@ class StackTable(_Table):
     exposures: Annotated[list[Positive], Field(min_length=2)] | None = Field(None, description="Absent: from EXIF.")
 
 
+class OwnResponseTable(_Table):
+    """The response of some pictures that is not that of the others."""
+
+    images: Annotated[list[FilePath], Field(min_length=1)] = Field(description="As they are named elsewhere.")
+    kind: Literal["linear", "srgb", "gamma", "table"] = Field(description="The declaration.")
+    gamma: Positive | None = Field(None, description="linear = stored ** gamma.")
+    table: FilePath | None = Field(None, description="CSV of linear values at equally spaced stored ones.")
+
+
 class ResponseTable(_Table):
     """How stored values stand for linear ones."""
 
@@ -99,6 +110,7 @@ class ResponseTable(_Table):
     gamma: Positive | None = Field(None, description="linear = stored ** gamma.")
     table: FilePath | None = Field(None, description="CSV of linear values at equally spaced stored ones.")
     stack: StackTable | None = Field(None, description="Exposures that test the declaration, or give debevec's.")
+    own: list[OwnResponseTable] = Field(default_factory=list, description="Pictures with another response.")
     saturation: float = Field(0.99, gt=0.1, le=1, description="Share of full scale that counts as clipped.")
     full_scale: Positive = Field(1.0, description="Value that counts as 1 in floating-point files.")
 
@@ -173,7 +185,9 @@ class LightTable(_Table):
     sd_deg: float = Field(0.0, ge=0, description="Standard uncertainty of the direction, degrees.")
     sd_mm: float = Field(0.0, ge=0, description="Standard uncertainty of the position, mm.")
     intensity: Annotated[list[Positive], Field(min_length=1)] = Field([1.0], description="One, or one a channel.")
-    solid_angle_sr: float = Field(0.0, ge=0, lt=6.28, description="That the source spans from the sphere.")
+    solid_angle_sr: float | None = Field(
+        None, ge=0, lt=6.28, description="That the source spans from the sphere; 0 of a point. Absent: not known."
+    )
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -234,12 +248,14 @@ class RigFile(_Table):
     )
     mask: FilePath | None = Field(None, description="Picture that is > 0 where pixels may be used.")
     mirror: list[MirrorTable] = Field(default_factory=list)
-    light: Annotated[list[LightTable], Field(min_length=1)]
+    light: list[LightTable] = Field(default_factory=list, description="May be absent where mirror balls are all.")
 
     @model_validator(mode="after")
     def _counts(self) -> Self:
+        if not self.light and not self.mirror:
+            raise InputError.of("light", 0, "must be one at least", "Name the pictures of each light under [[light]].")
         for k, mirror in enumerate(self.mirror):
-            if len(mirror.images) != len(self.light):
+            if self.light and len(mirror.images) != len(self.light):
                 counts = f"{len(mirror.images)} pictures, {len(self.light)} lights"
                 raise InputError.of(f"mirror[{k}].images", counts, "must be one for each light", "Mend the list.")
         for k, light in enumerate(self.light):
@@ -248,9 +264,29 @@ class RigFile(_Table):
                 raise InputError.of(f"light[{k}].direction", None, "is needed without a mirror ball", remedy)
         if self.lights_are == "near" and len(self.mirror) < 2 and any(x.position_mm is None for x in self.light):
             raise InputError.of("mirror", len(self.mirror), "near lights need two mirror balls", "Add a ball.")
+        if len({len(mirror.images) for mirror in self.mirror}) > 1:
+            counts = [len(mirror.images) for mirror in self.mirror]
+            raise InputError.of("mirror.images", counts, "must be as many of each ball", "Mend the lists.")
+        known = self.pictures()
+        for k, own in enumerate(self.response.own):
+            for name in own.images:
+                if name not in known:
+                    raise InputError.of(
+                        f"response.own[{k}].images", name, "is no picture of this rig", "Mend its name."
+                    )
         if self.white is not None and self.white.light >= len(self.light):
             raise InputError.of("white.light", self.white.light, f"must be < {len(self.light)}", "Count from 0.")
         return self
+
+    def pictures(self) -> set[str]:
+        """Names of all pictures."""
+        lists = [*(x.images for x in self.light), *(x.images for x in self.mirror)]
+        lists += [self.camera.board.images] if self.camera.board is not None else []
+        lists += [self.response.stack.images] if self.response.stack is not None else []
+        single = [self.sphere.outline, self.mask, *(x.outline for x in self.mirror), *(x.image for x in self.dark)]
+        single += [x.image for x in (self.flat, self.white) if x is not None]
+        single += [self.colour.chart] if self.colour is not None else []
+        return {name for names in lists for name in names} | {name for name in single if name is not None}
 
 
 def read_rig_file(path: Path) -> RigFile:

@@ -15,24 +15,20 @@ from livlab.acquire.photographs.calibration import Board, CameraCalibration, cal
 from livlab.acquire.photographs.calibration_chart import ColourCalibration, calibrate_colour
 from livlab.acquire.photographs.diligent import TO_CAMERA, channel_names, tilt_covariance
 from livlab.acquire.photographs.lights import Highlight, distant_direction, mirror_highlight, near_position
-from livlab.acquire.photographs.linearity import CameraResponse, Linearity, debevec, from_exposures, response
-from livlab.acquire.photographs.merge import Development, Merged, coloured, estimate_noise, flat_field, merge
+from livlab.acquire.photographs.linearity import Linearity
+from livlab.acquire.photographs.merge import Development, Merged, coloured, merge
 from livlab.acquire.photographs.outline import FloatArray
-from livlab.acquire.photographs.pose import SpherePose, all_round, sphere_pose
-from livlab.acquire.photographs.read import Photograph, eight_bit, read_photograph
+from livlab.acquire.photographs.pose import Kind, SpherePose, all_round, sphere_pose
 from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig, with_matte_intensities
 from livlab.acquire.photographs.rig_file import (
-    FrameTable,
     LightTable,
     MirrorTable,
-    ResponseTable,
     RigFile,
     WhiteTable,
     read_rig_file,
-    within,
 )
+from livlab.acquire.photographs.rig_pictures import RigPictures
 from livlab.brdf.geometry import Camera, Light, Sphere
-from livlab.brdf.sphere import Noise
 from livlab.errors import InputError
 
 
@@ -49,33 +45,73 @@ def load_rig(path: Path) -> PhotographedRig:
     return with_matte_intensities(rig) if table.intensities_are == "from the sphere" else rig
 
 
+@dataclass(frozen=True, eq=False)
+class MirrorBalls:
+    """Mirror balls by themselves: what their highlights say of the lights.
+
+    Attributes
+    ----------
+    name
+        What the data set is called.
+    camera
+        The camera.
+    highlights
+        For each light what each ball shows.
+    notes, warnings
+        What a reader should know; what is likely wrong.
+    """
+
+    name: str
+    camera: Camera
+    highlights: tuple[tuple[Highlight, ...], ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def load_mirrors(path: Path) -> MirrorBalls:
+    """The mirror balls of a rig file; it need not name any light or sphere.
+
+    Raises
+    ------
+    InputError
+        No mirror ball, and what the rig file, the pictures and the calibrations refuse.
+    """
+    table = read_rig_file(path)
+    return _Loader(table, path.resolve().parent).load_mirrors()
+
+
 @dataclass
 class _Loader:
     rig: RigFile
     folder: Path
-    notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    turned: dict[str, None] = field(default_factory=dict)
     mirrors: list[Sphere] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.pictures = RigPictures(self.rig, self.folder)
+        self.notes, self.warnings = self.pictures.notes, self.pictures.warnings
 
     def load(self) -> PhotographedRig:
         rig = self.rig
+        if not rig.light:
+            raise InputError.of(
+                "light", 0, "must be one at least to extract", "livlab brdf lights tells what mirror balls alone show."
+            )
         exposures = [self._exposures(k, light) for k, light in enumerate(rig.light)]
         self._one_unit(exposures)
-        first = self._read(rig.light[0].images[0])
+        first = self.pictures.read(rig.light[0].images[0])
         rows, columns, stored = first.values.shape
-        answer, linearity = self._response(rig.response)
+        answer, linearity = self.pictures.response(rig.response)
         if first.linear is False and answer.linear:
             self.warnings.append(f"{first.name} says that its values are encoded, but the rig declares them linear.")
         if first.linear is True and not answer.linear:
             self.warnings.append(f"{first.name} holds linear values, but the rig declares {answer.name}.")
-        development = self._development(answer, first, exposures[0][0])
+        development, noise_known = self.pictures.development(answer, first, exposures[0][0])
         colour = self._colour(development)
         grey = rig.channels == "grey"
         count = 1 if grey else stored
 
         def develop(k: int) -> Merged:
-            pictures = [self._read(name) for name in rig.light[k].images]
+            pictures = [self.pictures.read(name) for name in rig.light[k].images]
             merged = self._without_stray(merge(pictures, exposures[k], development))
             return coloured(merged, colour, grey=grey)
 
@@ -86,7 +122,7 @@ class _Loader:
         white, white_sd = self._white(rig.white, development, lights, sphere, count, colour, grey=grey)
         mask = None
         if rig.mask is not None:
-            picture = self._sized(rig.mask, (rows, columns)).values.mean(axis=2)
+            picture = self.pictures.sized(rig.mask, (rows, columns)).values.mean(axis=2)
             mask = np.asarray(picture > 0.5 * picture.max())
         self._doubt(camera, sphere)
         focal = rig.camera.focal_sd
@@ -106,10 +142,11 @@ class _Loader:
             white_sd=white_sd,
             focal_sd=focal,
             mask=mask,
-            noise_known="declared" if rig.noise else "unknown" if development.noise is None else "estimated",
+            noise_known=noise_known,
             linearity=linearity,
             highlights=highlights,
             calibration=calibration,
+            sized=all(light.solid_angle_sr is not None for light in rig.light),
             cut=rig.sphere.cut,
             colour=colour,
             corrected=self._corrected(calibration, linearity),
@@ -118,8 +155,22 @@ class _Loader:
             warnings=tuple(self.warnings),
         )
 
+    def load_mirrors(self) -> MirrorBalls:
+        rig = self.rig
+        if not rig.mirror:
+            raise InputError.of("mirror", 0, "must be one ball at least", "Name its pictures under [[mirror]].")
+        first = self.pictures.read(rig.mirror[0].images[0])
+        answer, _ = self.pictures.response(rig.response)
+        development, _ = self.pictures.development(answer, first, 1.0)
+        rows, columns = first.values.shape[:2]
+        camera, _ = self._camera(columns, rows)
+        seen = [self._mirror(m, camera, development) for m in rig.mirror]
+        self.warnings += check.turned(list(self.pictures.turned))
+        name = rig.name or self.folder.name
+        return MirrorBalls(name, camera, tuple(zip(*seen, strict=True)), tuple(self.notes), tuple(self.warnings))
+
     def _doubt(self, camera: Camera, sphere: Sphere) -> None:
-        self.warnings += check.turned(list(self.turned))
+        self.warnings += check.turned(list(self.pictures.turned))
         mirrors = [ball.centre_mm for ball in self.mirrors]
         if self.rig.sphere.radius_mm is not None:
             self.warnings += check.sizes(sphere.radius_mm, sphere.centre_mm, mirrors, orthographic=camera.orthographic)
@@ -142,23 +193,10 @@ class _Loader:
         }
         return frozenset(name for name, there in given.items() if there)
 
-    def _read(self, name: str) -> Photograph:
-        found = read_photograph(within(self.folder, name))
-        if found.turned:
-            self.turned[found.name] = None
-        return found
-
-    def _sized(self, name: str, size: tuple[int, int]) -> Photograph:
-        picture = self._read(name)
-        if picture.values.shape[:2] != size:
-            shown = f"{picture.name}: {picture.values.shape[1]}x{picture.values.shape[0]}"
-            raise InputError.of("picture", shown, f"must be {size[1]}x{size[0]} like the others", "Give it uncropped.")
-        return picture
-
     def _exposures(self, k: int, light: LightTable) -> list[float]:
         if light.exposures is not None:
             return list(light.exposures)
-        found = [self._read(name).exposure.value for name in light.images]
+        found = [self.pictures.read(name).exposure.value for name in light.images]
         if all(value is not None for value in found):
             return [float(value) for value in found if value is not None]
         if any(value is not None for value in found) or len(found) > 1:
@@ -174,68 +212,10 @@ class _Loader:
                 "light.exposures", "given for some lights", "must be given for all, or for none", "Mend the rig file."
             )
 
-    def _response(self, table: ResponseTable) -> tuple[CameraResponse, Linearity | None]:
-        values = None
-        if table.table is not None:
-            try:
-                values = np.loadtxt(within(self.folder, table.table), delimiter=",", ndmin=2)
-            except (OSError, ValueError) as error:
-                raise InputError.of(
-                    "response.table", table.table, f"cannot be read ({error})", "Give a CSV."
-                ) from error
-        stack: list[Photograph] = []
-        exposures: list[float] = []
-        if table.stack is not None:
-            stack = [self._read(name) for name in table.stack.images]
-            exposures = [float(p.exposure.value or 0) for p in stack]
-            if table.stack.exposures is not None:
-                exposures = list(table.stack.exposures)
-        if table.kind == "debevec":
-            codes = [eight_bit(p) for p in stack]
-            answer = debevec(codes, exposures)
-            low, high = (float(np.percentile(codes, q)) / 255 for q in (0.5, 99.5))
-            if high < 0.9:
-                self.notes.append(
-                    f"The stack shows stored values {low:.2f} to {high:.2f}; above, debevec extrapolates."
-                )
-        else:
-            answer = response(table.kind, gamma=table.gamma, table=values)
-        if not stack:
-            return answer, None
-        plain = Development(answer, float_scale=table.full_scale)
-        stored = [plain.stored(p) for p in stack]
-        found = from_exposures([answer.decode(s) for s in stored], exposures, stored)
-        warning = found.contradiction(answer.name)
-        if warning:
-            self.warnings.append(warning)
-        return answer, found
-
-    def _development(self, answer: CameraResponse, first: Photograph, exposure: float) -> Development:
-        rig = self.rig
-        development = Development(answer, saturation=rig.response.saturation, float_scale=rig.response.full_scale)
-        dark = [(table.exposure, self._read(table.image)) for table in rig.dark]
-        frames = tuple(
-            (float(given or picture.exposure.value or exposure), development.linear(picture, 1.0)[0])
-            for given, picture in dark
-        )
-        development = replace(development, dark=frames)
-        if rig.flat is not None:
-            flat = self._flat(rig.flat, development)
-            development = replace(development, flat=flat.astype(np.float32))
-        if rig.noise is not None:
-            return replace(development, noise=Noise(rig.noise.read, rig.noise.gain))
-        # Estimated before the flat field, which multiplies the noise.
-        value = replace(development, flat=None).linear(first, exposure)[0]
-        return replace(development, noise=estimate_noise(value))
-
-    def _flat(self, table: FrameTable, development: Development) -> FloatArray:
-        picture = self._read(table.image)
-        return flat_field(picture, development, float(table.exposure or picture.exposure.value or 1.0))
-
     def _colour(self, development: Development) -> ColourCalibration | None:
         if self.rig.colour is None:
             return None
-        picture = self._read(self.rig.colour.chart)
+        picture = self.pictures.read(self.rig.colour.chart)
         value, _, clipped = development.linear(picture, float(picture.exposure.value or 1.0))
         found = calibrate_colour(np.where(clipped, np.nan, value), picture.name)
         # A chart tells colours, not how bright the lights are: the green of a neutral stays as it was.
@@ -255,7 +235,7 @@ class _Loader:
         if table.board is not None and table.kind == "board":
             b = table.board
             board = Board(b.kind, b.columns, b.rows, b.square_mm, b.marker_mm, b.dictionary)
-            found = calibrate_camera([(name, self._read(name).values) for name in b.images], board)
+            found = calibrate_camera([(name, self.pictures.read(name).values) for name in b.images], board)
             self.notes += found.notes
             if (found.camera.width, found.camera.height) != (columns, rows):
                 shown = f"{found.camera.width}x{found.camera.height}"
@@ -269,29 +249,24 @@ class _Loader:
         lens = np.array(table.distortion)
         return Camera(columns, rows, matrix, distortion=lens, orthographic=table.kind == "orthographic"), None
 
-    def _outline(self, name: str, size: tuple[int, int], development: Development) -> NDArray[np.float32]:
-        """An outline picture in linear values, since half way between encoded levels is elsewhere."""
-        picture = self._sized(name, size)
-        value, _, clipped = development.linear(picture, float(picture.exposure.value or 1.0))
-        if clipped.any() and len(np.unique(picture.values)) > 2:
-            self.notes.append(f"{name} is clipped: right for a mask, but in a photograph it moves the outline.")
-        return value
-
     def _sphere(
         self, frames: DevelopedFrames, camera: Camera, development: Development
     ) -> tuple[SpherePose | None, Sphere, FloatArray]:
         table = self.rig.sphere
         frame: NDArray[np.floating]
+        kind: Kind
+        shown: Kind
         if table.centre_mm is not None and table.radius_mm is not None:
             sd = [table.centre_sd_mm] * 3 + [table.radius_sd_mm]
             return None, Sphere(self._vector(table.centre_mm), table.radius_mm), np.diag(np.square(sd))
         near = None if table.near is None else (table.near[0], table.near[1], table.near[2])
         if table.outline is not None:
-            frame = self._outline(table.outline, frames.shape[:2], development)
-            kind = table.kind or "silhouette"
+            frame = self.pictures.outline(table.outline, frames.shape[:2], development, table)
+            kind = "silhouette" if table.kind in (None, "mask") else table.kind
         else:
             frame = all_round(frames[k].value for k in range(frames.count))
-            kind = table.kind or ("all-round" if frames.count > 2 else "single")
+            shown = "all-round" if frames.count > 2 else "single"
+            kind = shown if table.kind in (None, "mask") else table.kind
         pose = sphere_pose(
             frame, camera, table.radius_mm, kind=kind, near=near, radius_sd_mm=table.radius_sd_mm, cut=table.cut
         )
@@ -314,18 +289,18 @@ class _Loader:
                 raise InputError.of(f"light[{k}].intensity", intensity.tolist(), f"must be 1 or {count}", "Mend it.")
             if table.position_mm is not None:
                 at, covariance = self._vector(table.position_mm), table.sd_mm**2 * np.eye(3)
-                lights.append(Light(intensity, None, at, table.solid_angle_sr))
+                lights.append(Light(intensity, None, at, table.solid_angle_sr or 0.0))
             elif (towards := table.towards(self.rig.frame)) is not None:
                 d = np.array(towards)
                 covariance = tilt_covariance(d, float(np.deg2rad(table.sd_deg)))
-                lights.append(Light(intensity, d, None, table.solid_angle_sr))
+                lights.append(Light(intensity, d, None, table.solid_angle_sr or 0.0))
             elif self.rig.lights_are == "near":
                 near = near_position(highlights[k])
                 covariance = near.covariance
-                lights.append(Light(intensity, None, near.position_mm, table.solid_angle_sr))
+                lights.append(Light(intensity, None, near.position_mm, table.solid_angle_sr or 0.0))
             else:
                 d, covariance = distant_direction(highlights[k])
-                lights.append(Light(intensity, d, None, table.solid_angle_sr))
+                lights.append(Light(intensity, d, None, table.solid_angle_sr or 0.0))
             covariances.append(covariance)
         return tuple(lights), tuple(covariances), highlights
 
@@ -334,9 +309,9 @@ class _Loader:
         near = None if table.near is None else (table.near[0], table.near[1], table.near[2])
         # Highlights clip; all that counts is where they are.
         frame: NDArray[np.floating]
-        pictures = (development.linear(self._sized(name, size), 1.0)[0] for name in table.images)
+        pictures = (development.linear(self.pictures.sized(name, size), 1.0)[0] for name in table.images)
         if table.outline is not None:
-            frame, kind = self._outline(table.outline, size, development), "silhouette"
+            frame, kind = self.pictures.outline(table.outline, size, development, None), "silhouette"
         else:
             frame, kind = all_round(pictures), "all-round"
         pose = sphere_pose(
@@ -351,7 +326,7 @@ class _Loader:
         self.mirrors.append(pose.sphere)
         found = []
         for name in table.images:
-            value, _, clipped = development.linear(self._sized(name, size), 1.0)
+            value, _, clipped = development.linear(self.pictures.sized(name, size), 1.0)
             level = float(value[clipped].min()) if clipped.any() else None
             found.append(mirror_highlight(value, camera, pose, saturation=level, name=name))
         return found
@@ -376,7 +351,7 @@ class _Loader:
             if value.size not in (1, count):
                 raise InputError.of("white.value", value.tolist(), f"must be 1 or {count} numbers", "One a channel.")
         else:
-            picture = self._read(table.image or "")
+            picture = self.pictures.read(table.image or "")
             exposure = float(table.exposure or picture.exposure.value or 1.0)
             merged = coloured(self._without_stray(merge([picture], [exposure], development)), colour, grey=grey)
             u0, v0, u1, v1 = table.box or [0, 0, 0, 0]
