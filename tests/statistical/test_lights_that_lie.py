@@ -28,25 +28,20 @@ def test_an_honest_rig_is_not_doubted(name):
 
 
 @pytest.mark.slow
-def test_matrix_of_liars_and_honest_rigs(capsys):
-    """Each liar told in 90 % of 20 draws at least, by its name in as many; honest rigs falsely in 5 % at most."""
-    lines = ["| rig | told | by its name |", "|---|---|---|"]
-    low, rates = [], []
-    for name, case in LIARS.items():
-        found = [said(case, draw) for draw in range(DRAWS)]
-        told = sum(bool(text) for text in found)
-        named = sum(bool(re.search(case.sees, text)) for text in found)
-        lines.append(f"| {name} | {told} of {DRAWS} | {named} |")
-        if min(told, named) < 0.9 * DRAWS:
-            low.append(name)
-    lines += ["", "| honest rig | falsely told |", "|---|---|"]
-    for name, case in HONEST.items():
-        found = [said(case, draw) for draw in range(DRAWS)]
-        rates.append(sum(bool(text) for text in found))
-        lines.append(f"| {name} | {rates[-1]} of {DRAWS} |")
-        if rates[-1]:
-            lines.append(next(text for text in found if text))
+@pytest.mark.parametrize("name", LIARS)
+def test_liars_are_told_in_nine_of_ten_draws(name, capsys):
+    case = LIARS[name]
+    found = [said(case, draw) for draw in range(DRAWS)]
+    told, named = sum(map(bool, found)), sum(bool(re.search(case.sees, text)) for text in found)
     with capsys.disabled():
-        print("\n" + "\n".join(lines))
-    assert not low
-    assert sum(rates) <= 0.05 * DRAWS * len(rates)
+        print(f"\n| {name} | {told} | {named} |")
+    assert min(told, named) >= 0.9 * DRAWS, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HONEST)
+def test_honest_rigs_are_doubted_in_one_of_twenty_draws_at_most(name, capsys):
+    found = [said(HONEST[name], draw) for draw in range(DRAWS)]
+    with capsys.disabled():
+        print(f"\n| {name} | {sum(map(bool, found))} |")
+    assert sum(map(bool, found)) <= 0.05 * DRAWS, [text for text in found if text]

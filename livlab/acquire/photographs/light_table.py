@@ -24,11 +24,11 @@ from livlab.acquire.photographs.shading import Shading, shading
 from livlab.brdf.geometry import Camera
 from livlab.errors import InputError
 
-PIXELS = 900
+PIXELS = 600
 """Pixels of each picture on which lights are judged; fewer where there are many lights."""
 
-_ALL_PIXELS = 12_000
-_LEAST_PIXELS = 200
+_ALL_PIXELS = 8_000
+_LEAST_PIXELS = 180
 
 MAX_ANGLE = float(np.deg2rad(75.0))
 """Largest angle from the eye of the pixels on which lights are judged."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from livlab.acquire.photographs.calibration_chart import ColourCalibration
 from livlab.acquire.photographs.linearity import CameraResponse
+from livlab.acquire.photographs.lossy import mean_square
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.read import Photograph
 from livlab.brdf.sphere import Noise
@@ -71,10 +72,10 @@ class Development:
         return 1.0 / photograph.full_scale if np.isfinite(photograph.full_scale) else 0.0
 
     def stored_variance(self, photograph: Photograph, stored: Float32Array) -> NDArray[np.floating]:
-        """Variance of the linear values by how they were stored: the step, (q f')² / 12, and lossy compression."""
-        slope = (photograph.response or self.response).slope(stored)
-        step = self.quantum(photograph)
-        return np.asarray((step * slope) ** 2 * (1 / 12 + photograph.lost()))
+        """Variance of the linear values by how they were stored: their step, (q f')² / 12, and lossy compression."""
+        step = (self.quantum(photograph) * (photograph.response or self.response).slope(stored)) ** 2
+        lossy = 0.0 if photograph.scatter is None else photograph.scatter.at(photograph.values)
+        return np.asarray(step * (1 / 12 + lossy))
 
     def linear(
         self, photograph: Photograph, exposure: float, rows: slice | None = None
@@ -92,10 +93,8 @@ class Development:
         if self.noise is None:
             variance = np.full(value.shape, np.nan, dtype=np.float32)
         else:
-            steps = self.stored_variance(photograph, stored)
-            variance = np.asarray(
-                self.noise.read**2 + self.noise.gain * np.clip(value, 0, None) + steps, dtype=np.float32
-            )
+            noise = self.noise.read**2 + self.noise.gain * np.clip(value, 0, None)
+            variance = np.asarray(noise + self.stored_variance(photograph, stored), dtype=np.float32)
         dark = self._dark(exposure, value.shape, rows)
         if dark is not None:
             value = value - dark
@@ -185,10 +184,13 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
     value = np.empty(first.shape, dtype=np.float32)
     variance = np.empty(first.shape, dtype=np.float32)
     clipped = lost = 0
-    tall = max(_BLOCK // (first.shape[1] * first.shape[2]) // 8 * 8, 8)
+    tall = max(_BLOCK // (first.shape[1] * first.shape[2]), 1)
     for start in range(0, first.shape[0], tall):
         rows = slice(start, start + tall)
-        frames = [development.linear(p.part(rows), t, rows) for p, t in zip(photographs, exposures, strict=True)]
+        frames = [
+            development.linear(replace(p, values=p.values[rows]), t, rows)
+            for p, t in zip(photographs, exposures, strict=True)
+        ]
         value[rows], variance[rows] = _weighted(frames, exposures, development.noise)
         clipped += int(np.all([c for _, _, c in frames], axis=0).sum())
         lost += int(np.all([~np.isfinite(x) for x, _, _ in frames], axis=0).sum())
@@ -245,7 +247,10 @@ def _agreement(
     if len(photographs) == 1:
         return (1.0,), []
     rows = slice(None, None, max(photographs[0].values.size // _BLOCK, 1))
-    frames = [development.linear(p.part(rows), t, rows) for p, t in zip(photographs, exposures, strict=True)]
+    frames = [
+        development.linear(replace(p, values=p.values[rows]), t, rows)
+        for p, t in zip(photographs, exposures, strict=True)
+    ]
     for i, j in itertools.pairwise(np.argsort(exposures)):
         (x, _, clip_x), (y, _, clip_y) = frames[i], frames[j]
         both = ~clip_x & ~clip_y & (x > _LEAST_LEVEL) & np.isfinite(y)
@@ -315,7 +320,7 @@ def estimate_noise(value: NDArray[np.floating], stored: NDArray[np.floating] | f
     for low, high in itertools.pairwise(edges):
         here = (level >= low) & (level <= high)
         if here.sum() > 50:
-            seen = float((1.4826 * np.median(np.abs(bend[here]))) ** 2)
+            seen = mean_square(bend[here])
             points.append((float(level[here].mean()), max(seen - float(steps[here].mean()), 0.0)))
     at, variance = np.array(points).T
     from scipy import optimize

@@ -6,16 +6,15 @@ import itertools
 import re
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from livlab.acquire.photographs.jpeg import SIDE, jpeg_variance
 from livlab.acquire.photographs.linearity import CameraResponse
-from livlab.acquire.photographs.outline import FloatArray
+from livlab.acquire.photographs.lossy import Scatter, measured_scatter
 from livlab.config.errors import nearest
 from livlab.core.files import first_line
 from livlab.core.picture_files import (
@@ -91,8 +90,8 @@ class Photograph:
         Whether EXIF asks viewers to turn or flip it; the values are as stored.
     response
         How its values stand for linear ones, where that was said of this picture by itself.
-    lossy
-        Variance of the stored values by lossy compression, for each block of 8 x 8; None where there was none.
+    scatter
+        How far lossy compression leaves the stored values in doubt; None where there was none.
     """
 
     name: str
@@ -103,22 +102,7 @@ class Photograph:
     notes: tuple[str, ...] = ()
     turned: bool = False
     response: CameraResponse | None = None
-    lossy: FloatArray | None = None
-
-    def part(self, rows: slice) -> Photograph:
-        """Some rows of it, from a multiple of 8 on."""
-        lossy = self.lossy
-        if lossy is not None:
-            start, stop, step = rows.indices(len(self.values))
-            lossy = lossy[start // SIDE : -(-stop // SIDE)] if step == 1 else None
-        return replace(self, values=self.values[rows], lossy=lossy)
-
-    def lost(self) -> FloatArray | float:
-        """Variance of each stored value by lossy compression."""
-        if self.lossy is None:
-            return 0.0
-        whole = np.repeat(np.repeat(self.lossy, SIDE, axis=0), SIDE, axis=1)
-        return np.asarray(whole[: self.values.shape[0], : self.values.shape[1]])
+    scatter: Scatter | None = None
 
 
 def read_photograph(path: Path) -> Photograph:
@@ -235,15 +219,16 @@ def _pillow(path: Path) -> Photograph:
             if array.dtype == np.int32:
                 array = array.astype(np.uint16)
     values, notes = _channels(path, array)
-    lossy = jpeg_variance(image, values) if kind in ("JPEG", "MPO") and values.dtype == np.uint8 else None
+    lossy = kind in ("JPEG", "MPO", "WEBP")
     linear: bool | None = None
-    if kind in ("JPEG", "MPO", "WEBP"):
+    if lossy:
         linear, notes = False, (*notes, "lossy compression spoils small differences")
     elif "srgb" in info or ("gamma" in info and abs(float(info["gamma"]) - 1) > 0.05):
         linear = False
     elif "gamma" in info:
         linear = True
-    return Photograph(path.name, values, _full_scale(values), exposure, linear, notes, turned, lossy=lossy)
+    scatter = measured_scatter(values) if lossy else None
+    return Photograph(path.name, values, _full_scale(values), exposure, linear, notes, turned, scatter=scatter)
 
 
 def _exif(tags: Any) -> Exposure:

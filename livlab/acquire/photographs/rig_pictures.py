@@ -144,7 +144,9 @@ def with_noise(development: Development, first: Photograph, exposure: float) -> 
     """The development with noise estimated from a picture, and how it is known."""
     plain = replace(development, flat=None, noise=None)
     value = plain.linear(first, exposure)[0]
-    noise = estimate_noise(value, plain.stored_variance(first, plain.stored(first)))
+    # Of the steps alone: neighbours in a block of a lossy picture do not show its errors.
+    steps = plain.stored_variance(replace(first, scatter=None), plain.stored(first))
+    noise = estimate_noise(value, steps)
     if noise is not None:
         return replace(development, noise=noise), "estimated"
     if plain.quantum(first) > 0:

@@ -55,6 +55,10 @@ class Fitted:
         """BRDF (..., channel) in 1/sr without cosine at directions (..., 3)."""
         return self.model.evaluate(wi, wo, self.parameters)
 
+    def known(self, wi: npt.ArrayLike, wo: npt.ArrayLike) -> FloatArray:
+        """The same: it is known everywhere."""
+        return self.evaluate(wi, wo)
+
 
 def read_fit(path: Path) -> Fitted:
     """A fit as `livlab brdf fit -o` or `BrdfFit.to_json` wrote it.

@@ -41,6 +41,9 @@ class Function(Protocol):
     def evaluate(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
         """BRDF (n, channel) in 1/sr without cosine at directions (n, 3)."""
 
+    def known(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
+        """The same, NaN where the file cannot tell it."""
+
 
 @dataclass(frozen=True)
 class FileFunctions:
@@ -75,5 +78,5 @@ def tabulated(function: Function, grid: Grid | None = None) -> xr.Dataset:
     from livlab.brdf import grid as grids
     from livlab.brdf.lookup import tabulate
 
-    table = tabulate(function.evaluate, grid or grids.Grid.uniform(), function.channels)
+    table = tabulate(function.known, grid or grids.Grid.uniform(), function.channels)
     return table.assign_attrs(source=function.source)

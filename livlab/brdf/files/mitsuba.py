@@ -4,8 +4,14 @@ The file tabulates over the direction to the camera (θ, and φ if anisotropic) 
 run as u = √(2 θ_m/π) and v = (φ_m − φ + π)/2π over the unit square; a warp by the visible normals may lie between the
 square and the table. With `jacobian` 0 the table holds f cos θ of the light; with 1 that value is to be multiplied by
 ndf / (4 sigma). Mitsuba's `wi` is the direction to the camera, here wo.
+
+Between its points Mitsuba interpolates f cos θ linearly, also across the horizon, beyond which the table holds 0.
+Divided by the cosine of the direction that is asked for, what is left of that is any number. So towards the horizon
+`MitsubaMaterial.known` divides by the cosine interpolated alike, which gives a mean of f at the points above, and tells where
+these differ too much for a mean to say anything.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +23,21 @@ import xarray as xr
 from livlab.brdf.angles import direction
 from livlab.brdf.files.interface import HOLES, FileFunctions, Function, Holes
 from livlab.brdf.files.tensor import Array, read_tensors, write_tensors
-from livlab.brdf.files.warp import Warp, between
+from livlab.brdf.files.warp import Warp, between, cell
 from livlab.brdf.lookup import fill_holes, lookup
 from livlab.brdf.table import Evaluate, as_table
 from livlab.errors import DatasetError, InputError
 
 FloatArray = npt.NDArray[np.float64]
+
+LOW = float(np.deg2rad(85.0))
+"""Angle of light or camera from which the cosine is interpolated as the table is."""
+
+UNLIKE = 1.25
+"""Ratio of the largest to the smallest f of a cell's points from which, beyond `LOW`, the cell is a hole."""
+
+MOST_ABOVE = 0.9
+"""Share of a cell's weight that has to lie above the horizon: the rest would be extrapolated."""
 
 STEEPEST = float(np.deg2rad(89.0))
 """θ at which the slice of 90 degrees is evaluated: at 90 degrees itself no light arrives."""
@@ -165,6 +180,57 @@ class MitsubaMaterial:
         """File and description, for a table made of it."""
         return f"Mitsuba file {self.name}: {self.description}"
 
+    def known(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
+        """BRDF (n, channel) as `evaluate`, but held near the horizon, and NaN where the file cannot tell it there.
+
+        Within `LOW` of the normal it is `evaluate`. Beyond, of files without warp and `jacobian`, the mean
+        Σ w f cos θ / Σ w cos θ over the cell's points, and NaN where their f differ by more than `UNLIKE` or less than
+        `MOST_ABOVE` of the weight lies above the horizon. Of other files it is NaN there.
+        """
+        light, eye = np.asarray(wi, dtype=np.float64), np.asarray(wo, dtype=np.float64)
+        value = self.evaluate(light, eye)
+        lower = np.minimum(light[:, 2], eye[:, 2])
+        vndf = np.asarray(self.fields["vndf"][0], dtype=np.float64)
+        if int(self.fields["jacobian"][0]) or np.ptp(vndf) > 1e-6 * float(vndf.max()):
+            value[(lower < np.cos(LOW)) & (lower > 0)] = np.nan
+            return value
+        low = np.flatnonzero((lower < np.cos(LOW)) & (lower > 0))
+        value[low] = self._held(light[low], eye[low])
+        return value
+
+    def _held(self, light: FloatArray, eye: FloatArray) -> FloatArray:
+        """Mean of f over the points of the table's cell, weighted by their cosines; NaN where they are too unlike."""
+        planes = np.asarray(self.fields["rgb" if "rgb" in self.fields else "spectra"][0], dtype=np.float64)
+        knots = np.asarray(self.fields["theta_i"], dtype=np.float64)
+        theta, phi = _elevation(eye), np.arctan2(eye[:, 1], eye[:, 0])
+        half = light + eye
+        half /= np.linalg.norm(half, axis=-1, keepdims=True)
+        u = np.sqrt(_elevation(half) * (2 / np.pi))
+        v = np.mod((np.arctan2(half[:, 1], half[:, 0]) - phi + np.pi) / (2 * np.pi), 1.0)
+        _, channels, rows, columns = planes.shape
+        spots = [cell(np.interp(theta, knots, np.arange(len(knots))), len(knots))]
+        spots += [cell(x * (count - 1), count) for x, count in ((v, rows), (u, columns))]
+        top, below, above = np.zeros((len(light), channels)), np.zeros(len(light)), np.zeros(len(light))
+        least, most = np.full((len(light), channels), np.inf), np.zeros((len(light), channels))
+        for corner in itertools.product((0, 1), repeat=3):
+            k, row, column = (spot[side] for spot, side in zip(spots, corner, strict=True))
+            share = np.prod(
+                [spot[2] if side else 1 - spot[2] for spot, side in zip(spots, corner, strict=True)], axis=0
+            )
+            cosine = _light_cosine(np.minimum(knots[k], STEEPEST), column / (columns - 1), row / (rows - 1))
+            there = np.where(cosine > np.cos(STEEPEST), cosine, 0.0)
+            stored = planes[k, :, row, column]
+            top += share[:, None] * np.where(there[:, None] > 0, stored, 0.0)
+            below += share * there
+            above += np.where(there > 0, share, 0.0)
+            counts = ((there > 0) & (share > 0.0))[:, None]
+            f = stored / np.maximum(there, 1e-12)[:, None]
+            least, most = np.where(counts, np.minimum(least, f), least), np.where(counts, np.maximum(most, f), most)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            value = top / below[:, None]
+        unlike = (most > UNLIKE * least).any(axis=1) | (above < MOST_ABOVE)
+        return np.where(unlike[:, None], np.nan, value)
+
     def evaluate(self, wi: FloatArray, wo: FloatArray) -> FloatArray:
         """BRDF (n, channel) in 1/sr without cosine at directions (n, 3), wi to the light; 0 below the surface."""
         light, eye = np.asarray(wi, dtype=np.float64), np.asarray(wo, dtype=np.float64)
@@ -190,6 +256,14 @@ class MitsubaMaterial:
             value = value * (ndf / (4 * sigma))[:, None]
         above = (light[:, 2] > 0) & (eye[:, 2] > 0)
         return np.where(above[:, None], value / np.where(above, light[:, 2], 1.0)[:, None], 0.0)
+
+
+def _light_cosine(theta: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Cosine of the light at points of the square of half vectors, as `write_mitsuba` places them; 0 if turned away."""
+    half = direction(u**2 * (np.pi / 2), (2 * v - 1) * np.pi)
+    eye = direction(theta, np.zeros_like(theta))
+    along = np.einsum("ni,ni->n", half, eye)
+    return np.asarray(np.where(along > 0, 2 * along * half[:, 2] - eye[:, 2], 0.0))
 
 
 def read_mitsuba(path: Path) -> MitsubaMaterial:

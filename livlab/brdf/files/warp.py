@@ -22,9 +22,9 @@ def between(planes: FloatArray, knots: FloatArray, at: FloatArray, u: FloatArray
     at, u, v : (n,) arrays
         Where the values are wanted; u and v in [0, 1].
     """
-    low, high, part = _cell(np.interp(at, knots, np.arange(len(knots))), len(knots))
-    row0, row1, y = _cell(np.clip(v, 0, 1) * (planes.shape[1] - 1), planes.shape[1])
-    column0, column1, x = _cell(np.clip(u, 0, 1) * (planes.shape[2] - 1), planes.shape[2])
+    low, high, part = cell(np.interp(at, knots, np.arange(len(knots))), len(knots))
+    row0, row1, y = cell(np.clip(v, 0, 1) * (planes.shape[1] - 1), planes.shape[1])
+    column0, column1, x = cell(np.clip(u, 0, 1) * (planes.shape[2] - 1), planes.shape[2])
 
     def plane(k: npt.NDArray[np.intp]) -> FloatArray:
         top = (1 - x) * planes[k, row0, column0] + x * planes[k, row0, column1]
@@ -51,9 +51,9 @@ class Warp:
 
     def invert(self, u: FloatArray, v: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The uniform points that the warp takes to (u, v), at parameters `at`; all (n,)."""
-        low, high, part = _cell(np.interp(at, self.knots, np.arange(len(self.knots))), len(self.knots))
-        row0, row1, y = _cell(np.clip(v, 0, 1) * (self.planes.shape[1] - 1), self.planes.shape[1])
-        column0, column1, x = _cell(np.clip(u, 0, 1) * (self.planes.shape[2] - 1), self.planes.shape[2])
+        low, high, part = cell(np.interp(at, self.knots, np.arange(len(self.knots))), len(self.knots))
+        row0, row1, y = cell(np.clip(v, 0, 1) * (self.planes.shape[1] - 1), self.planes.shape[1])
+        column0, column1, x = cell(np.clip(u, 0, 1) * (self.planes.shape[2] - 1), self.planes.shape[2])
 
         def mix(first: FloatArray, second: FloatArray) -> FloatArray:
             return (1 - part) * first + part * second
@@ -77,6 +77,7 @@ class Warp:
         )
 
 
-def _cell(place: FloatArray, count: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray]:
+def cell(place: FloatArray, count: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray]:
+    """The two of `count` points between which a place lies, and its share of the way from the first to the second."""
     low = np.clip(np.floor(place).astype(np.intp), 0, max(count - 2, 0))
     return low, np.minimum(low + 1, count - 1), place - low

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -70,6 +71,10 @@ class Packed:
         How pixels are integrated, in words.
     notes : tuple of str
         What the reader should know about the packing.
+    source_known : bool
+        Whether the lights' size was said; photographs often do not know it.
+    radius_px : float
+        Radius of the sphere's picture, px; infinite of samples that are no pixels.
     """
 
     value: FloatArray
@@ -92,6 +97,8 @@ class Packed:
     footprint: str = DIRECTIONS
     dropped: int = 0
     notes: tuple[str, ...] = ()
+    source_known: bool = True
+    radius_px: float = math.inf
 
     @property
     def size(self) -> int:
@@ -274,12 +281,17 @@ def _pictured(samples: xr.Dataset, raw: _Raw, footprint: Footprint) -> Packed:
         parts += [_squares(raw, lit, square, (camera, sphere), footprint) for square in squares]
     packed = _joined(parts) if parts else _plain(samples, raw, None)
     solid = np.asarray(samples["source_solid_angle"].values) if "source_solid_angle" in samples.coords else np.zeros(1)
-    radius = float(np.sqrt(max(np.nanmax(solid, initial=0.0), 0.0) / np.pi))
-    dropped = len(raw.value) - raw.keep.size
     if not stated:
         known = NEIGHBOURS if _stated(packed.noise) else UNKNOWN
         packed = replace(packed, noise_from=known, noise_dof=worth or np.inf)
-    return replace(packed, dropped=dropped, footprint=in_words(footprint), source_rad=radius)
+    return replace(
+        packed,
+        dropped=len(raw.value) - raw.keep.size,
+        footprint=in_words(footprint),
+        source_rad=float(np.sqrt(max(np.nanmax(solid, initial=0.0), 0.0) / np.pi)),
+        source_known=samples.attrs.get("lamp_size") != "not given",
+        radius_px=radius,
+    )
 
 
 def _squares(raw: _Raw, lit: _Lit, square: blocks.Square, rig: tuple[Camera, Sphere], footprint: Footprint) -> Packed:
@@ -348,6 +360,8 @@ def _joined(parts: list[Packed]) -> Packed:
         noise_from=parts[0].noise_from if len(sources) == 1 else UNKNOWN,
         noise_dof=sum(p.noise_dof for p in parts),
         source_rad=max(p.source_rad for p in parts),
+        source_known=all(p.source_known for p in parts),
+        radius_px=min(p.radius_px for p in parts),
         footprint=parts[0].footprint,
         dropped=sum(p.dropped for p in parts),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),

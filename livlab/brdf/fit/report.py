@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from livlab.brdf.fit.data import in_words
+from livlab.brdf.fit.data import Packed, in_words
 from livlab.brdf.fit.problem import BrdfProblem, Layout
 from livlab.brdf.fit.spread import Spread
 from livlab.optimise import Identifiability, OptimiseResult
@@ -113,8 +113,34 @@ def sentences(
             f"the lights' angular radius of {math.degrees(data.source_rad):.2g} deg is not integrated: a lobe as "
             f"narrow as {narrow:.2g} is read too wide"
         )
+    notes += _too_narrow(data, narrow)
     if np.unique(data.light).size == 1 and sure.effective < 200:
         notes.append(f"one light and {sure.effective:.0f} independent residuals: intervals and criteria are rough")
+    return notes
+
+
+PIXELS_A_LOBE = 4.5
+"""Radius of the sphere in pixels, times alpha, from which its core is read to 1 % (-0.2 / (R alpha)² at centres)."""
+
+UNSAID_LAMP_RAD = math.radians(5.0)
+"""Angular radius of a lamp that nobody would overlook; where a lobe allows more, an unknown size is not told."""
+
+
+def _too_narrow(data: Packed, narrow: float) -> list[str]:
+    """What the narrowest lobe asks of the sphere's picture and of the lamps."""
+    notes = []
+    needed = PIXELS_A_LOBE / narrow
+    if data.radius_px < needed:
+        notes.append(
+            f"a lobe of alpha {narrow:.2g} on a ball of {data.radius_px:.0f} px radius: 1 % in its core needs "
+            f"{needed:.0f} px (4.5 / alpha), so alpha and the lobe's height rest on how pixels are integrated"
+        )
+    limit = 0.4 * narrow
+    if not data.source_known and data.source_rad == 0 and limit < UNSAID_LAMP_RAD:
+        notes.append(
+            f"the lamps' size was not said (solid_angle_sr): a lobe of alpha {narrow:.2g} is read to 1 % if their "
+            f"angular radius is below {math.degrees(limit):.2g} deg, and too wide otherwise"
+        )
     return notes
 
 
