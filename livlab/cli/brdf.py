@@ -249,6 +249,7 @@ def _show_extracted(console: Console, rig: PhotographedRig, found: Extracted) ->
         if not rig.camera.orthographic:
             where += f"; {rig.pose.sphere.radius_mm:g} mm, {np.linalg.norm(rig.pose.sphere.centre_mm):.4g} mm away"
         table.add_row("sphere", where)
+        table.add_row("outline", rig.pose.told)
     if rig.highlights:
         worst = max(h.sd_rad for balls in rig.highlights for h in balls)
         table.add_row("light directions", f"from mirror balls, +- {np.rad2deg(worst):.2f} degrees at worst")
@@ -356,7 +357,7 @@ def _show_lights(found: LightReport) -> None:
         shown.add_column(heads[name], justify="left" if name == "verdict" else "right")
     for row in found.table.to_dict("records"):
         shown.add_row(*(_light_cell(name, row[name]) for name in names))
-    console = _console()
+    console = table_console(WIDTH)
     console.print(shown)
     if found.check is not None:
         console.print(f"all together: {found.check.told}", markup=False, highlight=False)

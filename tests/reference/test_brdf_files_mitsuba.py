@@ -265,3 +265,29 @@ def test_what_is_refused(tmp_path):
             write_mitsuba(path, brdf, **{"size": 8, "theta_count": 4} | options)
     assert path.read_bytes() == content and len(list(tmp_path.iterdir())) == 1
     assert isinstance(read_mitsuba(path), MitsubaMaterial)
+
+
+def test_near_the_horizon_a_cell_is_right_or_a_hole(tmp_path):
+    """Beyond 85 degrees f cos was divided by any number, up to 1600 times too much; a constant comes back exactly."""
+    grid = Grid.uniform()
+    wi, wo = grid.directions()
+    lowest = np.minimum(wi[..., 2], wo[..., 2])
+    grazing = grid.reachable() & (lowest < np.cos(np.deg2rad(85))) & (lowest > 0)
+    for name, most in ((lambda a, b: np.full((len(a), 3), 0.2), 1e-5), (ggx, 0.2)):
+        write_mitsuba(tmp_path / "a.bsdf", name)
+        table = read_brdf(tmp_path / "a.bsdf")
+        off = table["value"].values / tabulate(name, grid, ["R", "G", "B"])["value"].values - 1
+        known = np.isfinite(off).all(axis=-1)
+        assert np.max(np.abs(off[known & grazing])) < most
+        assert np.all(known[grid.reachable() & ~grazing])
+        assert 0.03 < np.mean(known[grazing]) < 0.9  # neither given up nor made up
+        assert np.array_equal(table["hole"].values, ~known)
+
+
+def test_a_warped_file_is_a_hole_near_the_horizon(tmp_path):
+    write_mitsuba(tmp_path / "a.bsdf", ggx)
+    fields = read_tensors(tmp_path / "a.bsdf") | {"jacobian": np.ones(1, np.uint8)}
+    write_tensors(tmp_path / "b.bsdf", fields)
+    low = direction(np.deg2rad(np.array([86.0, 89.0, 40.0])), np.zeros(3))
+    value = read_mitsuba(tmp_path / "b.bsdf").known(low, direction(np.full(3, 0.3), np.ones(3)))
+    assert np.isnan(value[:2]).all() and np.isfinite(value[2]).all()

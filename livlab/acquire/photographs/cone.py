@@ -23,6 +23,9 @@ class Cone:
 
     For an orthographic camera the "rays" are picture points lifted to the unit sphere by the inverse stereographic
     projection, which turns circles into cones.
+
+    `ellipse_px` is the amplitude of what goes twice round in the residual, as of an ellipse, and `chance` that of such
+    an amplitude by the scatter of the points.
     """
 
     axis: FloatArray
@@ -30,6 +33,8 @@ class Cone:
     covariance: FloatArray
     residual_px: float
     used: NDArray[np.bool_]
+    ellipse_px: float = 0.0
+    chance: float = 1.0
 
 
 def rays(camera: Camera, points: ArrayLike) -> FloatArray:
@@ -145,7 +150,22 @@ def fit_cone(points: ArrayLike, camera: Camera, *, tolerance_px: float = 1.0, se
     covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
     used = np.zeros(len(uv), dtype=bool)
     used[np.flatnonzero(finite)[used_here]] = True
-    return Cone(axis, beta, covariance, rms, used)
+    ellipse, chance = _ellipse(np.arctan2(across @ e2, across @ e1), residual[used_here])
+    return Cone(axis, beta, covariance, rms, used, ellipse, chance)
+
+
+def _ellipse(angle: FloatArray, residual: FloatArray) -> tuple[float, float]:
+    """Amplitude of the residual's second harmonic, and the chance of it: exp(-A² n / 4 s²) of n independent points.
+
+    The scatter s is what is left beside it, and n the points over the length on which neighbours err alike.
+    """
+    basis = np.column_stack([np.cos(2 * angle), np.sin(2 * angle)])
+    found = np.linalg.lstsq(basis, residual, rcond=None)[0]
+    left = residual - basis @ found
+    amplitude = float(np.hypot(*found))
+    independent = len(residual) / max(_correlation_length(left), 1.0)
+    spread = max(float(np.mean(left**2)), 1e-300)
+    return amplitude, float(np.exp(-min(amplitude**2 * independent / (4 * spread), 700.0)))
 
 
 def _axis_angle(q: FloatArray) -> tuple[FloatArray, float]:

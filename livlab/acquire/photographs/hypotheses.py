@@ -37,7 +37,7 @@ SPOILS = -3.0
 ALIKE = 0.02
 """Relative difference of total misfit within which two hypotheses say the same."""
 
-_FLIPS = {
+_FLIPS: dict[tuple[int, ...], str] = {
     (1, -1, -1): 'the other frame (frame = "photometric-stereo" or "camera")',
     (1, -1, 1): "up and down exchanged",
     (-1, 1, 1): "left and right exchanged",
@@ -159,7 +159,7 @@ def _transformed(seen: Shading, matrix: FloatArray) -> tuple[Light, ...] | None:
     found = []
     for light in seen.lights:
         if light.position_mm is None:
-            found.append(Light(light.intensity, whole @ light.direction, None, light.solid_angle_sr))
+            found.append(moved_to(light, whole @ light.at(seen.centre_mm)[0], seen.centre_mm))
             continue
         at = whole @ light.position_mm
         if float(np.linalg.norm(at - seen.centre_mm)) <= 1.02 * seen.sphere.radius_mm:
@@ -170,14 +170,18 @@ def _transformed(seen: Shading, matrix: FloatArray) -> tuple[Light, ...] | None:
 
 def _axes_in_words(order: tuple[int, ...], signs: tuple[int, ...]) -> str:
     if order == (0, 1, 2):
-        return _FLIPS[signs]  # type: ignore[index]
+        return _FLIPS[signs]
     frame = ""
     # In the camera's frame, where y and z have the other sign, the same may be a plain exchange.
     turn = (1, -1, -1)
     other = tuple(turn[k] * signs[k] * turn[order[k]] for k in range(3))
     if sum(sign < 0 for sign in other) < sum(sign < 0 for sign in signs):
         signs, frame = other, " (in the camera's frame)"
-    swapped = {(1, 0, 2): "x and y exchanged", (2, 1, 0): "x and z exchanged", (0, 2, 1): "y and z exchanged"}
+    swapped: dict[tuple[int, ...], str] = {
+        (1, 0, 2): "x and y exchanged",
+        (2, 1, 0): "x and z exchanged",
+        (0, 2, 1): "y and z exchanged",
+    }
     text = swapped.get(order, f"the axes in the order {', '.join('xyz'[k] for k in order)}")
     changed = [name for name, sign in zip("xyz", signs, strict=True) if sign < 0]
     return text + (f" and the sign of {' and '.join(changed)} then changed" if changed else "") + frame
@@ -210,12 +214,21 @@ def orders(seen: Shading, weights: Sequence[FloatArray]) -> list[Hypothesis]:
     if best == same:
         return []
     basis = terms(seen, seen.placed(seen.lights))
-    order = _pruned(seen, basis, best)
-    if order == same:
-        return []
-    fit = fit_shared(seen, basis[list(order)])
-    moved = tuple(_of(seen.lights[j], seen.lights[k]) for k, j in enumerate(order))
-    return [Hypothesis("order", order_in_words(order, seen.kept), moved, fit, order)]
+    found = {_pruned(seen, basis, best)} - {same}
+    if _whole(best):
+        found.add(best)  # a shift or a reversal moves all of them, also those of which that alone would not be told
+    tried = []
+    for order in sorted(found):
+        moved = tuple(_of(seen.lights[j], seen.lights[k]) for k, j in enumerate(order))
+        fit = fit_shared(seen, basis[list(order)])
+        tried.append(Hypothesis("order", order_in_words(order, seen.kept), moved, fit, order))
+    return tried
+
+
+def _whole(order: Sequence[int]) -> bool:
+    """Whether an order is a shift or a reversal of all."""
+    count = len(order)
+    return count > 2 and any(len({(order[k] - sign * k) % count for k in range(count)}) == 1 for sign in (1, -1))
 
 
 def _assigned(seen: Shading, basis: FloatArray, weights: FloatArray) -> tuple[tuple[int, ...], float]:
@@ -282,7 +295,7 @@ def order_in_words(order: Sequence[int], numbers: Sequence[int]) -> str:
         by = shifts.pop()
         by = by if by <= count // 2 else by - count
         return f"the lights in another order, shifted by {abs(by)} ({shown})"
-    if len({(order[k] + k) % count for k in range(count)}) == 1:
+    if _whole(order):
         return f"the lights in another order, reversed ({shown})"
     return f"the lights in another order ({shown})"
 
@@ -322,7 +335,9 @@ def _descend(seen: Shading, lights_of: Callable[[FloatArray], list[Light]], star
     def residual(x: FloatArray) -> FloatArray:
         return np.asarray(_fit(part, lights_of(x)).residual.ravel())
 
-    found = least_squares(residual, start, method="trf", diff_step=1e-3, x_scale=0.1, max_nfev=15, ftol=1e-6)
+    found = least_squares(
+        residual, start, method="trf", diff_step=[1e-3] * len(start), x_scale=0.1, max_nfev=15, ftol=1e-6
+    )
     return np.asarray(found.x)
 
 
@@ -332,7 +347,11 @@ def scaled(seen: Shading, given: Hypothesis) -> Hypothesis:
 
     def at(x: FloatArray) -> list[Light]:
         by = float(np.exp(x[0]))
-        return [replace(light, position_mm=eye + (light.position_mm - eye) / by) for light in seen.lights]
+        return [
+            replace(light, position_mm=eye + (light.position_mm - eye) / by)
+            for light in seen.lights
+            if light.position_mm is not None
+        ]
 
     def clear(x: float) -> bool:
         lights = at(np.array([x]))

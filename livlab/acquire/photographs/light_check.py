@@ -31,10 +31,11 @@ from livlab.acquire.photographs.shading import (
     terms,
     tilts,
 )
-from livlab.acquire.photographs.strengths import Gains, strengths, strengths_in_words
+from livlab.acquire.photographs.strengths import UNSAID, Gains, strengths, strengths_in_words
 
 LEAST_ANGLE = float(np.deg2rad(3.0))
-"""Angle by which a light may be off before it is told: it costs 7 % of a diffuse reflectance; or 3 of its sd."""
+"""Angle by which a light may be off before it is told: it costs 7 % of a diffuse reflectance. Or the angle by which
+one of the lights is off in a hundredth of such rigs, their directions being known to their sd, or to `UNSAID`."""
 
 LEAST_TURN = float(np.deg2rad(1.5)), float(np.deg2rad(3.0))
 """The same for all lights turned as one: the first, and the second over the root of their number, since lights that
@@ -134,7 +135,8 @@ def judge(seen: Shading, sd_rad: Sequence[float] | None = None) -> LightCheck:
     sd = np.zeros(len(seen.lights)) if sd_rad is None else np.asarray(sd_rad, dtype=np.float64)
     given = as_given(seen)
     weights, good = _trusted(seen, given.fit)
-    floor = np.maximum(LEAST_ANGLE, 3 * sd)
+    # The length of two tilts is Rayleigh's: P(> x sd) = exp(-x²/2) for each light.
+    floor = np.maximum(LEAST_ANGLE, np.where(sd > 0, sd, UNSAID) * math.sqrt(2 * math.log(100 * len(sd))))
     found = tilts(seen, seen.lights, weights)
     crossing = crossed(seen, terms(seen, seen.placed(seen.lights)), weights)
     suspicious = (

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,10 +25,10 @@ from livlab.acquire.photographs.shading import Shading, shading
 from livlab.brdf.geometry import Camera
 from livlab.errors import InputError
 
-PIXELS = 600
+PIXELS = 900
 """Pixels of each picture on which lights are judged; fewer where there are many lights."""
 
-_ALL_PIXELS = 8_000
+_ALL_PIXELS = 12_000
 _LEAST_PIXELS = 180
 
 MAX_ANGLE = float(np.deg2rad(75.0))
@@ -52,8 +53,9 @@ class LightReport:
         One row a light: `light`; `x`, `y`, `z` (unit vector from the sphere, world frame); `from_camera_deg` and
         `around_deg` (as direction_deg of a rig file) with `sd_deg`, NaN where it was not said; `highlight_deg`,
         `highlight_around_deg`, `highlight_sd_deg` where a highlight puts it; `apart_deg` between the two;
-        `shading_deg`, the angle at which its shading puts it, and `shading_sd_deg`; `gain`, `gain_sd`; `residual`, a
-        share of the picture's level; `clipped`, the share of the sphere's pixels; `verdict`.
+        `shading_deg`, the angle at which its shading puts it, and `shading_sd_deg`; `gain`, its strength over what
+        lights that stand alike to the camera let expect, and `gain_sd`; `residual`, a share of the picture's level;
+        `clipped`, the share of the sphere's pixels; `verdict`.
     check
         What was judged; None of mirror balls alone.
     warnings, notes
@@ -137,7 +139,7 @@ def judged(rig: PhotographedRig, seen: Shading | None) -> LightCheck | None:
     """The verdict on the lights of a rig."""
     if seen is None:
         return None
-    return judge(seen, sd_of(rig)[list(seen.kept)])
+    return judge(seen, sd_of(rig)[list(seen.kept)].tolist())
 
 
 def _of_rig(rig: PhotographedRig) -> LightReport:
@@ -226,13 +228,14 @@ def _with_check(table: pd.DataFrame, check: LightCheck) -> pd.DataFrame:
     at = list(check.kept)
     columns["shading_deg"][at] = np.rad2deg(check.shading.angle_rad)
     columns["shading_sd_deg"][at] = np.rad2deg(check.shading.sd_rad)
-    columns["gain"][at], columns["gain_sd"][at] = check.gains.gain, check.gains.sd
+    columns["gain"][at] = check.gains.off
+    columns["gain_sd"][at] = check.gains.sd / check.gains.gain * check.gains.off
     columns["residual"][at] = check.each_residual
     clipped = table.pop("clipped")
     return table.assign(**columns, clipped=clipped)
 
 
-def _is_apart(row: dict[str, float]) -> bool:
+def _is_apart(row: Mapping[Any, Any]) -> bool:
     limit = max(float(np.rad2deg(APART)), 4 * row["highlight_sd_deg"], 3 * np.nan_to_num(row["sd_deg"]))
     return bool(row["apart_deg"] > limit)
 
@@ -248,7 +251,7 @@ def _apart_in_words(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def _verdict(row: dict[str, float], check: LightCheck | None) -> str:
+def _verdict(row: Mapping[Any, Any], check: LightCheck | None) -> str:
     said = []
     k = int(row["light"])
     if check is None or k not in check.kept:

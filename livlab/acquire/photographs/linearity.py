@@ -161,6 +161,9 @@ class Linearity:
         Relative residual at 1 and at its best exponent (sphere), or of the ratios (stack).
     residual_srgb
         Relative residual if the values were sRGB (sphere); NaN of a stack.
+    over_noise
+        Residual over what the pixels' noise lets expect (sphere), or the unlikeness of dark and bright values over its
+        standard error (stack); NaN where the noise is not known.
     notes
         What a reader should know.
     """
@@ -173,6 +176,7 @@ class Linearity:
     residual_best: float
     residual_srgb: float = float("nan")
     notes: tuple[str, ...] = ()
+    over_noise: float = float("nan")
 
     def told(self) -> str:
         """The verdict in words: an exponent only where one was found, else why there is none."""
@@ -181,6 +185,9 @@ class Linearity:
         text = f"{self.verdict}: exponent {self.gamma:.3f} +- {self.standard_error:.3f}"
         if math.isfinite(self.residual_srgb):
             text += f"; residual from a cosine {self.residual:.1%}, as sRGB {self.residual_srgb:.1%}"
+        if math.isfinite(self.over_noise):
+            what = "one exponent misses dark against bright values by" if self.route == "exposure stack" else "that is"
+            text += f"; {what} {self.over_noise:.2g} x the noise"
         return text
 
     def contradiction(self, declared: str) -> str | None:
@@ -222,7 +229,7 @@ def from_exposures(
     """
     _check_stack(stack, exposures)
     order = np.argsort(exposures)
-    slopes, halves = [], []
+    slopes, halves, errors = [], [], []
     for i, j in itertools.pairwise(order):
         ratio = float(np.log(exposures[j] / exposures[i]))
         if ratio < 0.05:
@@ -236,6 +243,7 @@ def from_exposures(
         level = stored[i][use]
         dark = level < np.median(level)
         halves.append((float(np.median(slope[dark])), float(np.median(slope[~dark]))))
+        errors.append(math.hypot(*(_median_error(slope[part]) for part in (dark, ~dark))))
     if not slopes:
         note = "No pair of exposures has fifty pixels that are neither black nor clipped in both."
         return Linearity(
@@ -253,13 +261,40 @@ def from_exposures(
             f"Dark values follow exposure^{low:.2f}, bright ones exposure^{high:.2f}: a black offset, stray light or "
             "sRGB's straight foot rather than one gamma."
         )
+    unlike = abs(low - high) / max(float(np.hypot.reduce(weight * errors) / weight.sum()), 1e-6)
+    if not notes and unlike > 5 and abs(low - high) > _STACK_TOLERANCE:
+        notes.append(
+            f"One exponent does not fit: dark values follow exposure^{low:.2f}, bright ones exposure^{high:.2f}, "
+            f"{unlike:.2g} x the noise apart."
+        )
     linear = abs(mean - 1) <= _STACK_TOLERANCE + 2 * error
     verdict: Verdict = "linear" if linear else "not linear"
-    return Linearity(verdict, 1 / mean, error / mean**2, "exposure stack", abs(mean - 1), scatter, notes=tuple(notes))
+    return Linearity(
+        verdict,
+        1 / mean,
+        error / mean**2,
+        "exposure stack",
+        abs(mean - 1),
+        scatter,
+        notes=tuple(notes),
+        over_noise=unlike,
+    )
+
+
+def _median_error(x: FloatArray) -> float:
+    """Standard error of a median, from the scatter about it; that of 16 x 16 neighbours counts once for each 16."""
+    if len(x) < 2:
+        return math.inf
+    return 1.2533 * 1.4826 * float(np.median(np.abs(x - np.median(x)))) / math.sqrt(max(len(x) / 16, 1.0))
 
 
 def from_matte_sphere(
-    values: FloatArray, cosines: FloatArray, *, least_cosine: float = 0.26, beside: bool = False
+    values: FloatArray,
+    cosines: FloatArray,
+    *,
+    least_cosine: float = 0.26,
+    beside: bool = False,
+    variances: FloatArray | None = None,
 ) -> Linearity:
     """Linearity from a sphere under known lights: the exponent at which values best follow the cosine.
 
@@ -278,6 +313,8 @@ def from_matte_sphere(
     beside : bool
         Whether all lights stand beside the camera, where a rough surface looks flat as an encoded one does: then
         nothing but "linear" can be found.
+    variances : (lights, pixels) array, optional
+        Of the values, where the noise is known.
 
     Raises
     ------
@@ -304,6 +341,9 @@ def from_matte_sphere(
     at_srgb = residual(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
     verdict, note = _judged(gamma, least, beside=beside)
     found = verdict != "undecided"
+    noise = math.nan
+    if variances is not None and np.isfinite(variances[use]).all():
+        noise = math.sqrt(float(np.mean(variances[use]))) / float(np.mean(values[use]))
     return Linearity(
         verdict,
         gamma if found else math.nan,
@@ -313,6 +353,7 @@ def from_matte_sphere(
         least,
         at_srgb,
         (note,) if note else (),
+        residual(v) / noise if noise > 0 else math.nan,
     )
 
 

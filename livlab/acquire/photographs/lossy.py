@@ -3,8 +3,9 @@
 JPEG keeps blocks of 8 x 8 whose errors have nothing to do with each other, while within a block the errors are smooth.
 So a line through two pixels on either side of a border meets the one from the other side with a jump,
 J = (3 x₈ − x₉)/2 − (3 x₇ − x₆)/2, that the same difference in the middle of a block does not have: there it shows
-noise alone. The excess is the variance of two blocks' errors at their border. There a cosine has twice its mean square
-and a constant just that, and a block's errors are of both kinds: a pixel's variance is a third of the excess.
+noise alone. How much larger the jumps' variance is than a pixel's hangs on what was lost: twice, where blocks differ
+by constants; twelve times, where a slope became a staircase, since neighbours then err against each other. Half way
+between (by logarithms) it is five times, and a pixel's standard error is known to a factor of about two.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 from livlab.acquire.photographs.outline import FloatArray
 
 BLOCK = 8
-EXCESS = 3.0
-"""Excess of the jumps' variance over a pixel's variance: two blocks, times 1 to 2."""
+EXCESS = 24**0.5
+"""Excess of the jumps' variance over a pixel's variance: between 2 (constants) and 12 (slopes)."""
 
 _BINS = 12
 _LEAST = 100

@@ -195,13 +195,13 @@ def merge(photographs: Sequence[Photograph], exposures: Sequence[float], develop
         clipped += int(np.all([c for _, _, c in frames], axis=0).sum())
         lost += int(np.all([~np.isfinite(x) for x, _, _ in frames], axis=0).sum())
     agreement, notes = _agreement(photographs, exposures, development)
-    counts = {}
+    counted: dict[str, int] = {}
     if clipped:
-        counts[CLIPPED if len(photographs) == 1 else CLIPPED_IN_ALL] = clipped
+        counted[CLIPPED if len(photographs) == 1 else CLIPPED_IN_ALL] = clipped
     if lost:
-        counts[NOT_FINITE] = lost
+        counted[NOT_FINITE] = lost
     shares = clipped / first.size, lost / first.size
-    return Merged(value, variance, *shares, agreement, tuple(notes), counts)
+    return Merged(value, variance, *shares, agreement, tuple(notes), counted)
 
 
 _Frame = tuple[Float32Array, Float32Array, NDArray[np.bool_]]

@@ -18,6 +18,7 @@ from livlab.acquire.photographs.outline import FloatArray, circle_path, grey, se
 from livlab.acquire.photographs.sphere_search import (
     Candidate,
     candidates,
+    edge_noise,
     refuse_cut,
     refuse_flattened,
     refuse_second,
@@ -56,6 +57,10 @@ class SpherePose:
         The systematic part alone, of centre and radius.
     residual_px
         Root mean square distance of the used edge points from the outline.
+    ellipse_px, chance
+        How far the edge points lie off the outline as an ellipse would, and the chance of that by their scatter.
+    noise_px
+        Scatter of the edge points that the picture's noise lets expect, px.
     support
         Share of the outline's circumference on which edge points were found and used.
     points
@@ -79,6 +84,17 @@ class SpherePose:
     outline: FloatArray
     kind: Kind
     notes: tuple[str, ...] = field(default=())
+    ellipse_px: float = 0.0
+    chance: float = 1.0
+    noise_px: float = 0.0
+
+    @property
+    def told(self) -> str:
+        """The misfit of the outline in words."""
+        text = f"edge points {self.residual_px:.2f} px off"
+        if self.noise_px > 1e-3:
+            text += f", {self.residual_px / self.noise_px:.2g} x the noise"
+        return f"{text}; elliptic by {self.ellipse_px:.2f} px (chance {self.chance:.1g})"
 
 
 def all_round(frames: Iterable[ArrayLike]) -> FloatArray:
@@ -163,7 +179,16 @@ def sphere_pose(
             "shows no sphere with a clean outline",
             "use a frame lit all round or from behind, before a plain ground",
         )
-    return _pose(camera, best, radius_mm, kind, radius_sd_mm, depth_mm, shaded_limb(image, camera, best.cone))
+    return _pose(
+        camera,
+        best,
+        radius_mm,
+        kind,
+        radius_sd_mm,
+        depth_mm,
+        shaded_limb(image, camera, best.cone),
+        edge_noise(image, best),
+    )
 
 
 def _pose(
@@ -174,6 +199,7 @@ def _pose(
     radius_sd_mm: float,
     depth_mm: float | None,
     shaded: float,
+    noise_px: float,
 ) -> SpherePose:
     cone = best.cone
     if kind not in SYSTEMATIC_PX:
@@ -215,7 +241,10 @@ def _pose(
         points=best.points[cone.used],
         outline=cone_outline(camera, cone.axis, cone.half_angle, 360)[0],
         kind=kind,
-        notes=_notes(kind, shaded, best.support, (centre_sys, radius_sys)),
+        notes=(*_notes(kind, shaded, best.support, (centre_sys, radius_sys)), *_elliptic(best)),
+        ellipse_px=cone.ellipse_px,
+        chance=cone.chance,
+        noise_px=noise_px,
     )
 
 
@@ -236,6 +265,20 @@ def _notes(kind: Kind, shaded: float, support: float, systematic_px: tuple[float
     if support < 0.6:
         notes.append(f"Only {support:.0%} of the outline could be used.")
     return tuple(notes)
+
+
+_ROUND_PX, _ROUND = 0.25, 0.004
+"""Ellipticity below which nothing is told: px, and as a share of the radius."""
+
+
+def _elliptic(best: Candidate) -> list[str]:
+    cone = best.cone
+    if cone.chance > 1e-3 or cone.ellipse_px < max(_ROUND_PX, _ROUND * best.circle[2]):
+        return []
+    return [
+        f"The outline is elliptic by {cone.ellipse_px:.2f} px, beyond its scatter: a focal length or lens that is "
+        "wrong for these pictures, a ball that is not round, or a limb that is shaded to one side."
+    ]
 
 
 def _place(camera: Camera, axis: FloatArray, half_angle: float, radius_mm: float, depth_mm: float | None) -> FloatArray:

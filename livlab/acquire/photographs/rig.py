@@ -188,10 +188,12 @@ class PhotographedRig:
         rows, columns = self.inside(pixels)
         _, seen = self.camera.rays(columns, rows)
         hits = self.sphere.meet(*self.camera.rays(columns, rows))
-        values, cosines, aside = [], [], []
+        values, variances, cosines, aside = [], [], [], []
         for k in chosen:
             light = self.lights[k]
             at = self.frames[int(k)].value[rows, columns]
+            noise = self.frames[int(k)].variance[rows, columns]
+            variances.append((noise / (self.white * light.intensity) ** 2).mean(axis=-1) / noise.shape[-1])
             towards, scale = light.at(hits.points_mm)
             half = towards - seen
             half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
@@ -201,7 +203,9 @@ class PhotographedRig:
             aside.append(float(np.max(-np.einsum("ni,ni->n", towards, seen), initial=-1.0)))
         stacked = np.array(cosines)
         beside = min(aside) > np.cos(BESIDE)
-        return from_matte_sphere(np.array(values), stacked / stacked.max(), beside=beside)
+        return from_matte_sphere(
+            np.array(values), stacked / stacked.max(), beside=beside, variances=np.array(variances)
+        )
 
     def inside(
         self, most: int, max_angle: float = float(np.deg2rad(75.0))

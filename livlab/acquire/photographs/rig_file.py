@@ -265,8 +265,8 @@ class RigFile(_Table):
         if self.lights_are == "near" and len(self.mirror) < 2 and any(x.position_mm is None for x in self.light):
             raise InputError.of("mirror", len(self.mirror), "near lights need two mirror balls", "Add a ball.")
         if len({len(mirror.images) for mirror in self.mirror}) > 1:
-            counts = [len(mirror.images) for mirror in self.mirror]
-            raise InputError.of("mirror.images", counts, "must be as many of each ball", "Mend the lists.")
+            balls = [len(mirror.images) for mirror in self.mirror]
+            raise InputError.of("mirror.images", balls, "must be as many of each ball", "Mend the lists.")
         known = self.pictures()
         for k, own in enumerate(self.response.own):
             for name in own.images:

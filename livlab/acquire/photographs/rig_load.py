@@ -262,11 +262,11 @@ class _Loader:
         near = None if table.near is None else (table.near[0], table.near[1], table.near[2])
         if table.outline is not None:
             frame = self.pictures.outline(table.outline, frames.shape[:2], development, table)
-            kind = "silhouette" if table.kind in (None, "mask") else table.kind
+            kind = "silhouette" if table.kind is None or table.kind == "mask" else table.kind
         else:
             frame = all_round(frames[k].value for k in range(frames.count))
             shown = "all-round" if frames.count > 2 else "single"
-            kind = shown if table.kind in (None, "mask") else table.kind
+            kind = shown if table.kind is None or table.kind == "mask" else table.kind
         pose = sphere_pose(
             frame, camera, table.radius_mm, kind=kind, near=near, radius_sd_mm=table.radius_sd_mm, cut=table.cut
         )

@@ -16,8 +16,8 @@ from livlab.acquire.photographs.rig_file import FrameTable, ResponseTable, RigFi
 from livlab.brdf.sphere import Noise
 from livlab.errors import InputError
 
-MASK_SHARE = 0.98
-"""Share of a picture's values that are 0 or the highest from which it is taken for a mask."""
+EDGE_WIDTH = 2.0
+"""Pixels across the edge of a mask that may be neither in nor out."""
 
 _NO_NOISE = Noise(read=1e-6)
 """Where a picture shows none: what its steps hide lies far below them."""
@@ -155,8 +155,10 @@ def with_noise(development: Development, first: Photograph, exposure: float) -> 
 
 
 def looks_like_a_mask(picture: Photograph) -> bool:
-    """Whether a picture holds 0 and the highest value (or 1) and little between, as photographs do not."""
+    """Whether a picture holds 0 and the highest value (or 1) and between them no more than the edge of a disc."""
     grey = picture.values.astype(np.float64).mean(axis=2)
     high = float(grey.max())
-    whole = high in (picture.full_scale, 1.0)
-    return whole and float(np.mean((grey == 0) | (grey == high))) >= MASK_SHARE
+    low, top = int(np.count_nonzero(grey == 0)), int(np.count_nonzero(grey == high))
+    # 2 sqrt(pi A) is the circumference of a disc of A pixels.
+    edge = EDGE_WIDTH * 2 * np.sqrt(np.pi * min(low, top))
+    return high in (picture.full_scale, 1.0) and grey.size - low - top <= edge

@@ -104,6 +104,11 @@ def _noise(image: FloatArray) -> float:
     return float(1.4826 * np.median(step) / np.sqrt(2)) if step.size else 0.0
 
 
+def edge_noise(image: FloatArray, found: Candidate) -> float:
+    """Scatter (px) that noise gives an edge point: two pixels' noise over the edge's slope, one contrast a pixel."""
+    return _noise(image) / np.sqrt(2) / found.contrast if found.contrast > 0 else 0.0
+
+
 def refuse_second(found: list[Candidate]) -> None:
     """Raise if a second outline stands beside the first and is much like it."""
     first = found[0]

@@ -17,7 +17,7 @@ LEAST_GAIN = 0.08
 """Relative error of a light's strength below which nothing is told."""
 
 UNSAID = float(np.deg2rad(1.0))
-"""Standard uncertainty of a direction for which none was said, where strengths are judged."""
+"""Standard uncertainty that is taken for a direction for which none was said: what mirror balls reach."""
 
 LEAST_SCALE = 0.04
 LEAST_GAIN = 0.08

@@ -7,8 +7,8 @@ ndf / (4 sigma). Mitsuba's `wi` is the direction to the camera, here wo.
 
 Between its points Mitsuba interpolates f cos θ linearly, also across the horizon, beyond which the table holds 0.
 Divided by the cosine of the direction that is asked for, what is left of that is any number. So towards the horizon
-`MitsubaMaterial.known` divides by the cosine interpolated alike, which gives a mean of f at the points above, and tells where
-these differ too much for a mean to say anything.
+`MitsubaMaterial.known` divides by the cosine interpolated alike, which gives a mean of f at the points above, and tells
+where these differ too much for a mean to say anything.
 """
 
 import itertools

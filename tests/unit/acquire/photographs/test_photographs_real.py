@@ -1,12 +1,16 @@
 """The two photographed balls: what the README of the photographs says about them has to come out."""
 
+import dataclasses
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from livlab.acquire.photographs.extract import extract_samples
+from livlab.acquire.photographs.light_table import light_table
 from livlab.acquire.photographs.open import open_rig
 from livlab.acquire.photographs.pose import sphere_pose
 from livlab.acquire.photographs.read import read_photograph
@@ -66,8 +70,6 @@ def test_the_grey_ball_is_lambertian_to_6_5_percent_and_linear(rig):
 
 
 def test_turned_lights_fit_worse(rig):
-    import dataclasses
-
     turned = [dataclasses.replace(x, direction=np.roll(x.direction, 1)) for x in rig.lights]
     assert dataclasses.replace(rig, lights=tuple(turned)).matte_linearity().residual > 0.2
 
@@ -78,3 +80,51 @@ def test_samples(rig):
     assert found.samples.attrs["scale"].startswith("arbitrary")
     for fault in ("vignetting", "dark offset", "stray light", "white reference", "perspective"):
         assert any(fault in text for text in found.unresolved)
+
+
+def said(rig, lights):
+    return light_table(dataclasses.replace(rig, lights=tuple(lights))).warnings
+
+
+def test_the_lights_of_the_real_ball_are_not_doubted(rig):
+    found = light_table(rig)
+    assert found.warnings == ()
+    assert found.table["verdict"].eq("agrees").all()
+    assert found.check.residual < 0.06
+    assert np.all(np.abs(found.table["gain"] - 1) < 0.03)
+
+
+def test_its_y_axis_turned_down_is_told_as_such(rig):
+    lights = [dataclasses.replace(x, direction=x.direction * [1, -1, 1]) for x in rig.lights]
+    found = light_table(dataclasses.replace(rig, lights=tuple(lights)))
+    assert "up and down exchanged" in found.warnings[0]
+    assert found.check.residual > 0.25 and found.check.residual_best < 0.06
+    told = extract_samples(dataclasses.replace(rig, lights=tuple(lights)))
+    assert told.linearity is None and not any("not matte" in w for w in told.warnings)
+
+
+@pytest.mark.parametrize("pair", [(7, 9), (1, 10), (8, 9), (3, 11), (2, 10)])
+def test_two_of_its_lights_exchanged_are_told(rig, pair):
+    lights = list(rig.lights)
+    lights[pair[0]], lights[pair[1]] = lights[pair[1]], lights[pair[0]]
+    assert f"lights {pair[0]} and {pair[1]} exchanged" in said(rig, lights)[0]
+
+
+def test_other_slips_of_its_lights_are_told(rig):
+    lights = list(rig.lights)
+    assert "shifted by 1" in said(rig, lights[1:] + lights[:1])[0]
+    assert "reversed" in said(rig, lights[::-1])[0]
+    turn = Rotation.from_rotvec(np.deg2rad([0, 0, 8])).as_matrix()
+    turned = [dataclasses.replace(x, direction=turn @ x.direction) for x in lights]
+    assert "turned by" in said(rig, turned)[0]
+    brighter = [dataclasses.replace(x, intensity=x.intensity * (1.25 if k == 4 else 1)) for k, x in enumerate(lights)]
+    assert re.match(r"Light 4 is 0\.(79|80|81) ", said(rig, brighter)[0])
+
+
+def test_the_mirror_ball_alone_gives_the_same_directions(rig, tmp_path):
+    shutil.copytree(PHOTOS / "chrome", tmp_path / "chrome")
+    names = ", ".join(f'"chrome/light{k:02d}.png"' for k in range(COUNT))
+    head = 'format = 1\n[camera]\nkind = "orthographic"\n[[mirror]]\noutline = "chrome/mask.png"\n'
+    (tmp_path / "rig.toml").write_text(f"{head}images = [{names}]\n")
+    table = light_table(tmp_path).table
+    np.testing.assert_allclose(table[["x", "y", "z"]], [x.direction for x in rig.lights], atol=1e-12)
