@@ -15,10 +15,11 @@ from livlab.acquire.photographs.calibration import Board, CameraCalibration, cal
 from livlab.acquire.photographs.calibration_chart import ColourCalibration, calibrate_colour
 from livlab.acquire.photographs.diligent import TO_CAMERA, channel_names, tilt_covariance
 from livlab.acquire.photographs.lights import Highlight, distant_direction, mirror_highlight, near_position
-from livlab.acquire.photographs.linearity import Linearity
+from livlab.acquire.photographs.linearity import CameraResponse, Linearity
 from livlab.acquire.photographs.merge import Development, Merged, coloured, merge
 from livlab.acquire.photographs.outline import FloatArray
 from livlab.acquire.photographs.pose import Kind, SpherePose, all_round, sphere_pose
+from livlab.acquire.photographs.read import Photograph
 from livlab.acquire.photographs.rig import DevelopedFrames, PhotographedRig, with_matte_intensities
 from livlab.acquire.photographs.rig_file import (
     LightTable,
@@ -101,10 +102,7 @@ class _Loader:
         first = self.pictures.read(rig.light[0].images[0])
         rows, columns, stored = first.values.shape
         answer, linearity = self.pictures.response(rig.response)
-        if first.linear is False and answer.linear:
-            self.warnings.append(f"{first.name} says that its values are encoded, but the rig declares them linear.")
-        if first.linear is True and not answer.linear:
-            self.warnings.append(f"{first.name} holds linear values, but the rig declares {answer.name}.")
+        self._declared(first, answer)
         development, noise_known = self.pictures.development(answer, first, exposures[0][0])
         colour = self._colour(development)
         grey = rig.channels == "grey"
@@ -120,10 +118,6 @@ class _Loader:
         pose, sphere, covariance = self._sphere(frames, camera, development)
         lights, light_covariances, highlights = self._lights(camera, sphere, development, count)
         white, white_sd = self._white(rig.white, development, lights, sphere, count, colour, grey=grey)
-        mask = None
-        if rig.mask is not None:
-            picture = self.pictures.sized(rig.mask, (rows, columns)).values.mean(axis=2)
-            mask = np.asarray(picture > 0.5 * picture.max())
         self._doubt(camera, sphere)
         focal = rig.camera.focal_sd
         if calibration is not None:
@@ -141,7 +135,7 @@ class _Loader:
             white=white,
             white_sd=white_sd,
             focal_sd=focal,
-            mask=mask,
+            mask=self._mask((rows, columns)),
             noise_known=noise_known,
             linearity=linearity,
             highlights=highlights,
@@ -154,6 +148,20 @@ class _Loader:
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
         )
+
+    def _declared(self, first: Photograph, answer: CameraResponse) -> None:
+        """Warn where a file says of its values what the rig does not."""
+        said = first.response or answer
+        if first.linear is False and said.linear:
+            self.warnings.append(f"{first.name} says that its values are encoded, but the rig declares them linear.")
+        if first.linear is True and not said.linear:
+            self.warnings.append(f"{first.name} holds linear values, but the rig declares {said.name}.")
+
+    def _mask(self, size: tuple[int, int]) -> NDArray[np.bool_] | None:
+        if self.rig.mask is None:
+            return None
+        picture = self.pictures.sized(self.rig.mask, size).values.mean(axis=2)
+        return np.asarray(picture > 0.5 * picture.max())
 
     def load_mirrors(self) -> MirrorBalls:
         rig = self.rig
