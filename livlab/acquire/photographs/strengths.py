@@ -77,10 +77,11 @@ def strengths(
     spread = 1.4826 * float(np.median(np.abs(off[use])))
     scale = np.maximum(5 * np.hypot(sd, min(spread, LEAST_GAIN)), 4 * place)
     least = np.where(alone, 3 * LEAST_GAIN, LEAST_GAIN)
-    wrong = use & (np.abs(off) > np.maximum(least, scale)) & ((use.sum() >= 5) | ~alone)
+    wrong = use & (np.abs(off) > np.maximum(least, scale)) & ((use.sum() >= _ENOUGH) | ~alone)
     return Gains(fit.gain, fit.gain * sd, np.exp(off), wrong, spread)
 
 
+_ENOUGH = 5
 _ALIKE_TO_THE_CAMERA = float(np.deg2rad(15.0))
 
 
@@ -113,6 +114,12 @@ def _trend(angle: FloatArray, log: FloatArray) -> tuple[float, float]:
 def strengths_in_words(numbers: Sequence[int], gains: Gains) -> list[str]:
     """What is to be told of strengths."""
     wrong = np.flatnonzero(gains.wrong)
+    if not len(wrong) and gains.spread > LEAST_GAIN and len(numbers) >= _ENOUGH:
+        far = int(np.argmax(np.abs(np.log(gains.off))))
+        return [
+            f"The lights are not as strong as declared, by {gains.spread:.0%} in the mean (light {numbers[far]}: "
+            f'{gains.off[far]:.2f} times): give light.intensity, or say intensities_are = "from the sphere" if matte.'
+        ]
     if not len(wrong):
         return []
     worst = int(wrong[np.argmax(np.abs(np.log(gains.off[wrong])))])

@@ -77,6 +77,11 @@ def test_a_radius_that_does_no_harm_is_not_told_and_does_none():
     np.testing.assert_allclose(other["value"].values, one["value"].values, rtol=1e-9)
 
 
+def test_strengths_that_all_differ_are_told():
+    found = light_table(photographed(Case(TWO, TWO, strength_sd=0.15), 2))
+    assert "strong as declared" in found.warnings[0]
+
+
 @pytest.mark.parametrize("by", [0.8, 1.25])
 def test_a_focal_length_that_is_off_does_little_harm(by):
     rig = photographed(Case(TWO, TWO), 0)
