@@ -191,7 +191,16 @@ def _given_pose(rig: PhotographedRig, radius_px: float) -> SpherePose:
     circle = (float(middle[0]), float(middle[1]), radius_px)
     none = np.empty((0, 2))
     return SpherePose(
-        rig.sphere, rig.sphere_covariance, circle, (0.0, 0.0, 0.0), (0.0, 0.0), 0.0, 1.0, none, none, "silhouette"
+        sphere=rig.sphere,
+        covariance=rig.sphere_covariance,
+        circle_px=circle,
+        circle_sd_px=(0.0, 0.0, 0.0),
+        systematic_px=(0.0, 0.0),
+        residual_px=0.0,
+        support=1.0,
+        points=none,
+        outline=none,
+        kind="silhouette",
     )
 
 

@@ -345,15 +345,15 @@ def from_matte_sphere(
     if variances is not None and np.isfinite(variances[use]).all():
         noise = math.sqrt(float(np.mean(variances[use]))) / float(np.mean(values[use]))
     return Linearity(
-        verdict,
-        gamma if found else math.nan,
-        _LAMBERT_TOLERANCE / 2 if found else math.inf,
-        "sphere off its highlight",
-        residual(v),
-        least,
-        at_srgb,
-        (note,) if note else (),
-        residual(v) / noise if noise > 0 else math.nan,
+        verdict=verdict,
+        gamma=gamma if found else math.nan,
+        standard_error=_LAMBERT_TOLERANCE / 2 if found else math.inf,
+        route="sphere off its highlight",
+        residual=residual(v),
+        residual_best=least,
+        residual_srgb=at_srgb,
+        notes=(note,) if note else (),
+        over_noise=residual(v) / noise if noise > 0 else math.nan,
     )
 
 

@@ -119,17 +119,17 @@ def shading(
     cell = np.clip(((across[:, :2] + 1) / 2 * _SIDE).astype(int), 0, _SIDE - 1)
     patch = np.unique(cell[:, 0] * _SIDE + cell[:, 1], return_inverse=True)[1]
     return Shading(
-        points,
-        normals,
-        eye,
-        np.nan_to_num(value),
-        variance,
-        weight / level[:, None] ** 2,
-        patch.ravel(),
-        tuple(lights[k] for k in kept),
-        camera,
-        sphere,
-        tuple(kept),
+        points_mm=points,
+        normals=normals,
+        eye=eye,
+        value=np.nan_to_num(value),
+        variance=variance,
+        weight=weight / level[:, None] ** 2,
+        patch=patch.ravel(),
+        lights=tuple(lights[k] for k in kept),
+        camera=camera,
+        sphere=sphere,
+        kept=tuple(kept),
     )
 
 
