@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from livlab.fitting.outcome import FitOutcome
+    from livlab.optimise.misfit import Misfit
 
-WORDS = {"path", "unit", "status", "open", "role", "lacks", "error"}
+WORDS = {"path", "unit", "status", "open", "sd_note", "role", "lacks", "error"}
 """Columns that hold no numbers."""
 
 
@@ -42,15 +43,28 @@ def _number(value: Any) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
+def _shown(row: pd.Series, ends: bool = True) -> str:
+    """Value ± sd, or where that says something else than the interval, value and interval (or the value alone)."""
+    value, sd = _number(row["value"]), _number(row["sd"])
+    if not row["sd_note"]:
+        return format_with_error(value, sd)
+    low, high = float(row["lower"]), float(row["upper"])
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return format_with_error(value, None)
+    width = high - low
+    shown = format_with_error(value, width / 4).partition(" ")[0] if width > 0 else format_with_error(value, None)
+    return f"{shown} ({low:.3g} to {high:.3g})" if ends else shown
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
-    """A finished fit; true in a condition if fresh draws gave the same parameters.
+    """A finished fit; true in a condition if fresh draws gave the same parameters and the model fits, or may.
 
     Attributes
     ----------
     table
-        Index label; path, unit, value, lower, upper, sd, drift, status, and `open`: ends that are bounds which the data
-        do not exclude.
+        Index label; path, unit, value, lower, upper, sd, drift, status, `open`: ends that are bounds which the data
+        do not exclude, and `sd_note`: why value ± sd is not what the data say, if so.
     scores
         Index measurement; role, points, rmse, pearson of the normalised curves, and the same at the start (nan where
         the last walk cannot answer for the start).
@@ -65,7 +79,7 @@ class FitResult:
     level
         Coverage of the intervals.
     notes
-        What is to be said: bounds reached, parameters that the data do not hold.
+        What is to be said: how well the model fits, bounds reached, parameters that the data do not hold.
     outcome
         The whole record.
     alternatives
@@ -97,7 +111,17 @@ class FitResult:
     fits: dict[str, FitResult] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return self.outcome.settled
+        return bool(self.outcome)
+
+    @property
+    def misfit(self) -> Misfit:
+        """How far the model misses the measured curves: χ², degrees of freedom, p, residual over noise, structure."""
+        return self.outcome.misfit
+
+    @property
+    def misfit_words(self) -> str:
+        """How well the model describes the data, in a sentence."""
+        return self.outcome.misfit_words
 
     @property
     def values(self) -> dict[str, float]:
@@ -105,11 +129,9 @@ class FitResult:
         return {str(k): float(v) for k, v in self.table["value"].items()}
 
     def __repr__(self) -> str:
-        found = ", ".join(
-            f"{name} {format_with_error(_number(row['value']), _number(row['sd']))}{self._over_models(str(name))}"
-            for name, row in self.table.iterrows()
-        )
-        return f"<FitResult {'settled' if self else 'not settled'}: {found}>"
+        found = ", ".join(f"{name} {_shown(row)}{self._over_models(str(name))}" for name, row in self.table.iterrows())
+        settled = "settled" if self.outcome.settled else "not settled"
+        return f"<FitResult {settled}: {found}; {self.misfit_words}>"
 
     def _over_models(self, name: str) -> str:
         """The spread of a parameter over the alternatives in brackets; empty where there is none."""
@@ -123,7 +145,7 @@ class FitResult:
         rows = [
             (
                 name,
-                format_with_error(_number(row["value"]), _number(row["sd"])),
+                _shown(row, ends=False),
                 f"{row['lower']:.4g} to {row['upper']:.4g}" if np.isfinite(row["lower"]) else "–",
                 row["unit"],
                 row["status"],
@@ -131,14 +153,15 @@ class FitResult:
             for name, row in self.table.iterrows()
         ]
         scored = [(str(n), float(r["rmse"]), float(r["pearson"])) for n, r in self.scores.iterrows()]
-        settled = "fresh draws gave the same values" if self else "fresh draws still move the values"
+        settled = "fresh draws gave the same values" if self.outcome.settled else "fresh draws still move the values"
         return markup.card(
             f"Fit of {self.tissue.name}",
             f"{self.reading.name}; {settled}",
+            markup.warning(self.misfit_words) if self.misfit.told else markup.notes([self.misfit_words]),
             markup.table(columns, rows),
             markup.table(["measurement", "rmse", "pearson"], scored),
             *self._models_as_html(),
-            markup.notes(self.notes),
+            markup.notes(text for text in self.notes if text != self.misfit_words),
         )
 
     def _models_as_html(self) -> list[str]:

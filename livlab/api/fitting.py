@@ -186,7 +186,7 @@ def _beside(curves: dict[str, Spectrum], result: FitResult, models: Alternatives
     )
 
 
-_INTERVALS = ("path", "unit", "value", "lower", "upper", "sd", "drift", "status", "open")
+_INTERVALS = ("path", "unit", "value", "lower", "upper", "sd", "drift", "status", "open", "sd_note")
 _SCORES = ("role", "points", "rmse", "pearson", "rmse_start", "pearson_start")
 
 

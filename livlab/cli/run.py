@@ -124,6 +124,7 @@ def _show(outcome: Outcome, *, quiet: bool) -> None:
         if outcome.claims:
             _print_claims(console, outcome.claims)
             _say_why(console, outcome)
+        _say_misfit(console, outcome)
         _print_spread(console, outcome.folder)
         if outcome.cached:
             console.print("Done before; --force runs it again.", highlight=False)
@@ -176,6 +177,16 @@ def _say_why(console: Console, outcome: Outcome) -> None:
     reasons = [str(why) for criterion, why in notes.items() if criterion in missing] if isinstance(notes, dict) else []
     for why in dict.fromkeys(reasons):
         console.print(f"MISSING: {why}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _say_misfit(console: Console, outcome: Outcome) -> None:
+    """Whether a fit's model describes its data; nothing for runs that fit nothing."""
+    from livlab.runs.identity import read_manifest
+
+    found = read_manifest(outcome.folder).get("misfit")
+    if isinstance(found, dict) and found.get("words"):
+        style = _COLOURS.get("FAIL", "") if found.get("adequate") is False else ""
+        console.print(Text(str(found["words"]), style=style), highlight=False, soft_wrap=True)
 
 
 def _cells(claim: dict[str, str]) -> tuple[str, str, str, str]:

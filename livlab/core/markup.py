@@ -45,6 +45,15 @@ def notes(texts: Iterable[object]) -> str:
     return f"<ul>{items}</ul>" if items else ""
 
 
+def warning(text: object) -> str:
+    """A sentence that must not be overlooked.
+
+    >>> "a &lt; b" in warning("a < b")
+    True
+    """
+    return f'<p><b style="color:{_VERDICTS["FAIL"]}">{escape(str(text))}</b></p>'
+
+
 def swatch(rgb: Sequence[float], title: str = "") -> str:
     """A patch of colour from sRGB values, encoded, 0–1."""
     coded = "".join(f"{round(255 * min(max(float(c), 0.0), 1.0)):02x}" for c in rgb)

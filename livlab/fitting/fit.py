@@ -17,12 +17,14 @@ import pandas as pd
 
 from livlab.errors import InputError, Interrupted
 from livlab.fitting.intervals import ProfileInterval, Profiler
+from livlab.fitting.misfit import misfit_of, widening
 from livlab.fitting.options import FitOptions
 from livlab.fitting.outcome import FitOutcome
 from livlab.fitting.problem import Problem, corners, is_tissue
 from livlab.fitting.spread import ParameterSpread
 from livlab.optimise import OptimiseResult, ParameterSpace, identifiability, least_squares
 from livlab.optimise.covariance import normal_quantile
+from livlab.optimise.misfit import Misfit
 
 MORE = 2
 """Recordings beyond those, at most, made because intervals reach to where the last one cannot answer."""
@@ -106,6 +108,8 @@ class _Run:
     drift: dict[str, float] = field(default_factory=dict)
     moved: dict[str, float] = field(default_factory=dict)
     spread: ParameterSpread | None = None
+    misfit: Misfit | None = None
+    widened: float = 1.0
     settled: bool = False
     profiled: dict[str, ProfileInterval] = field(default_factory=dict)
     lost: list[dict[str, float]] = field(default_factory=list)
@@ -168,8 +172,10 @@ class _Run:
         )
         if not number or self.settled or number + 1 >= self.options.most_recordings:
             self.tell("intervals", 0.0)
+            self.misfit = misfit_of(problem, at, spread.plain.held)
+            self.widened = widening(self.misfit, problem.by_residuals)
             profiler = Profiler(problem, space, at, spread.variance)
-            rises = spread.rises(normal_quantile(self.options.level) ** 2 * spread.variance)
+            rises = spread.rises((normal_quantile(self.options.level) * self.widened) ** 2 * spread.variance)
             told = {name: profiler.interval(name, rises[name]) for name in space.names}
             # The first recording serves the whole box: its intervals tell what the later ones have to serve.
             lost = [values for values in profiler.lost if is_tissue(problem.forward, values)]
@@ -181,7 +187,10 @@ class _Run:
     def outcome(self) -> FitOutcome:
         """The record of all this."""
         assert self.spread is not None
+        assert self.misfit is not None
         last = self.searches[-1]
+        wide = self.widened
+        spread = self.spread if wide == 1.0 else ParameterSpread.of(self.problem, last.best, wide**2)
         return FitOutcome(
             best=last.best,
             space=self.problem.space,
@@ -190,9 +199,12 @@ class _Run:
             searches=tuple(self.searches),
             drift=self.drift,
             settled=self.settled,
-            covariance=self.spread.covariance,
-            residual_scale=self.spread.variance,
-            autocorrelation=self.spread.autocorrelation,
+            covariance=spread.covariance,
+            residual_scale=spread.variance,
+            autocorrelation=spread.autocorrelation,
+            misfit=self.misfit,
+            widened=wide,
+            by_residuals=self.problem.by_residuals,
             verdict=identifiability(self.spread.covariance),
             profiled=self.profiled,
             level=self.options.level,

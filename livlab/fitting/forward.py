@@ -204,6 +204,16 @@ class LedgerForward:
         made[np.ix_(self._use, self._use)] = covariance(self._recorded(), stack, self._detectors())
         return made
 
+    def bias_covariance(self) -> FloatArray:
+        """(W, W) second moments of what interpolation between the ledger's anchors costs: smooth, and of unknown sign.
+
+        The largest that was measured when it was recorded, alike within half the distance of two anchors.
+        """
+        ledger, x = self._recorded(), self.wavelength_nm
+        bias = abs(float(ledger.about["interpolation_bias"]))
+        reach = max(0.5 * float(x[-1] - x[0]) / max(len(ledger.anchors) - 1, 1), 1.0)
+        return np.asarray(bias**2 * np.exp(-0.5 * ((x[:, None] - x) / reach) ** 2))
+
     def _spread(self, values: FloatArray) -> FloatArray:
         """Values at the wavelengths in focus, on all."""
         made = np.full(len(self._use), np.nan)

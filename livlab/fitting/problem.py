@@ -94,6 +94,11 @@ class Problem:
         if narrow is not None:
             narrow(np.any([t.use for t in self.targets], axis=0))
 
+    @property
+    def by_residuals(self) -> bool:
+        """Whether the noise of a residual is taken from the residuals: not every loss has standard errors."""
+        return not all(t.loss == "chi2" for t in self.targets)
+
     def refresh(self) -> None:
         """Forget what an older recording answered."""
         self._at = None

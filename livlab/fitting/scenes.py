@@ -106,6 +106,15 @@ class JointForward:
                 made[part, part] = scene.noise_covariance(self._own(k, values))
         return made
 
+    def bias_covariance(self) -> FloatArray:
+        """(S W, S W) second moments of what interpolation costs, each scene on its own."""
+        n = self.size
+        made = np.zeros((n * len(self.scenes), n * len(self.scenes)))
+        for k, scene in enumerate(self.scenes):
+            if self._asked[k]:
+                made[k * n : (k + 1) * n, k * n : (k + 1) * n] = scene.bias_covariance()
+        return made
+
     def _own(self, k: int, values: Mapping[str, float]) -> dict[str, float]:
         return {path: values[key] for path, key in self.keys[k].items()}
 

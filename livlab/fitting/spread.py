@@ -36,9 +36,10 @@ class ParameterSpread:
     autocorrelation: float
 
     @classmethod
-    def of(cls, problem: Problem, at: Mapping[str, float]) -> Self:
-        """At an optimum of the problem."""
+    def of(cls, problem: Problem, at: Mapping[str, float], widened: float = 1.0) -> Self:
+        """At an optimum of the problem; the variance of a residual `widened` times what it would be."""
         variance, autocorrelation = residual_variance(problem, at)
+        variance *= widened
         slopes = problem.jacobian(at)
         plain = covariance_of_residuals(slopes, problem.space, at, variance=variance)
         scatter = _scatter(problem, slopes, at, variance)
@@ -67,7 +68,7 @@ def residual_variance(problem: Problem, at: Mapping[str, float]) -> tuple[float,
     """
     r = problem.residuals(at)
     free = len(problem.space.free)
-    if all(t.loss == "chi2" for t in problem.targets):
+    if not problem.by_residuals:
         return 1.0, _neighbours(r)
     correlation = _neighbours(r)
     held = max(correlation, 0.0)

@@ -45,6 +45,8 @@ class CurveTarget:
         From a spectrum on the used wavelengths to CIE L*a*b*; for the colour loss only.
     covariance
         (W, W) of the curve's errors beyond sigma, which hang together; None: there are none.
+    wavelength_nm
+        (W,) for words and neighbours; None: the points are equally far apart.
     """
 
     label: str
@@ -56,6 +58,7 @@ class CurveTarget:
     weight: float = 1.0
     colour: Callable[[FloatArray], FloatArray] | None = None
     covariance: FloatArray | None = None
+    wavelength_nm: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = int(self.use.sum())

@@ -76,11 +76,13 @@ def _work(run: Run, setup: FitSetup, models: Mapping[str, OtherModel], known: Se
     best, begin = setup.curves(found)
     for text in setup.said(found):
         run.note(text)
+    run.info["misfit"] = tables.misfit_record(found)
     run.write_result({"/": tables.result(config, best, begin, targets, found)})
     scores = tables.scores(config, targets, best.value, begin)
     tissue, reading = config.tissue.build(), (config.reading,)
     made: dict[str, Table] = {
         "fit.csv": (tables.INTERVALS, tables.intervals(config, found)),
+        "misfit.csv": (tables.MISFIT, tables.misfit(found)),
         "scores.csv": (tables.SCORES, scores),
         "correlation.csv": tables.correlation(config, found),
         "path.csv": tables.path(config, found),

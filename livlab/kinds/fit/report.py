@@ -9,9 +9,15 @@ from livlab.kinds.fit.report_round_trip import round_trip_section
 from livlab.reports.bench import bench_section
 from livlab.reports.figures import Pictures
 from livlab.reports.folder import RunData
-from livlab.reports.tables import ReportSection, Text, from_frame, number
+from livlab.reports.tables import ReportSection, Table, Text, from_frame, number
 
-_HEADINGS = {"sd": "standard deviation", "drift": "moved by fresh draws", "lower": "from", "upper": "to"}
+_HEADINGS = {
+    "sd": "standard deviation",
+    "sd_note": "why not shown",
+    "drift": "moved by fresh draws",
+    "lower": "from",
+    "upper": "to",
+}
 
 
 SPREAD_CAPTION = (
@@ -41,6 +47,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     result, found = run.result, run.table("fit")
     level = float(result.attrs["level"])
     curves = ReportSection("curves", "The curves, and what the fit makes of them")
+    curves.content.extend(_misfit(run))
     curves.content.extend(
         [
         pictures.add(
@@ -61,11 +68,25 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
         [
             Text(_verdict(run, found)),
             from_frame(
-                found.assign(drift=found["drift"].where(found["drift"].abs() > 1e-9 * found["value"].abs(), 0.0)),
+                _shown(found),
                 f"Fitted values with {level:.0%} profile-likelihood intervals. An open end is a bound that the data "
-                "do not exclude. The standard deviation takes what sits at a bound as known.",
+                "do not exclude. No standard deviation is shown where it says something else than the interval: at a "
+                "bound, where it takes another value that sits at its bound as known (conditional), or where the "
+                "interval is skew.",
                 titles=_HEADINGS,
-                only=["parameter", "unit", "value", "lower", "upper", "open", "sd", "drift", "status", "start"],
+                only=[
+                    "parameter",
+                    "unit",
+                    "value",
+                    "lower",
+                    "upper",
+                    "open",
+                    "sd",
+                    "sd_note",
+                    "drift",
+                    "status",
+                    "start",
+                ],
             ),
             pictures.add("fit-intervals", draw.intervals(found, level), "Values and intervals between their bounds."),
         ]
@@ -139,6 +160,30 @@ def _alternatives(run: RunData) -> list[ReportSection]:
         ]
     )
     return [section]
+
+
+def _misfit(run: RunData) -> list[Text | Table]:
+    """Whether the model describes the data, first of all; nothing for runs that did not ask."""
+    assert run.result is not None
+    said = str(run.result.attrs.get("misfit", ""))
+    if not said:
+        return []
+    table = from_frame(
+        run.table("misfit").dropna(axis="columns", how="all"),
+        "Residuals held against their noise, and against what they may hang on: p is the chance that a right model "
+        "looks so. Ratio: residual over noise, as a whole, and where it is largest.",
+        titles={"degrees_of_freedom": "degrees of freedom", "chi2": "χ²"},
+    )
+    return [Text(f"{said[:1].upper()}{said[1:]}."), table]
+
+
+def _shown(found: pd.DataFrame) -> pd.DataFrame:
+    """The table of parameters without changes that are rounding, and without an sd that says something else."""
+    made = found.assign(drift=found["drift"].where(found["drift"].abs() > 1e-9 * found["value"].abs(), 0.0))
+    if "sd_note" not in made:
+        return made.assign(sd_note="")
+    note = made["sd_note"].fillna("").astype(str)
+    return made.assign(sd_note=note, sd=made["sd"].where(note == ""))
 
 
 def _verdict(run: RunData, found: pd.DataFrame) -> str:

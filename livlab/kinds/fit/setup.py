@@ -182,7 +182,8 @@ class FitSetup:
     def said(self, found: FitOutcome) -> list[str]:
         """What a report must show, by the parameters' labels, once each."""
         edge = self.config.room().ends_at(found.best)
-        texts = (*self.notes, *edge, *self.forward.stack(found.best).notes, *found.notes, *found.verdict.sentences)
+        stack = self.forward.stack(found.best)
+        texts = (found.misfit_words, *self.notes, *edge, *stack.notes, *found.notes, *found.verdict.sentences)
         return list(dict.fromkeys(tables.named(text, self.config) for text in texts))
 
     def tissue(self, label: str, best: Mapping[str, float]) -> Tissue:
@@ -257,6 +258,7 @@ def target(m: Measurement, curve: MeasuredCurve, grid: FloatArray, place: int, s
         loss=m.loss,
         weight=m.weight,
         colour=colour,
+        wavelength_nm=placed(grid, np.nan),
     )
 
 

@@ -25,6 +25,7 @@ INTERVALS = (
     "lower",
     "upper",
     "sd",
+    "sd_note",
     "drift",
     "status",
     "open",
@@ -110,8 +111,50 @@ def result(
             "evaluations": sum(s.evaluations for s in found.searches),
             "seed": config.seed,
             "level": config.level,
+            **_misfit_attributes(found),
         },
     )
+
+
+MISFIT = ("test", "where", "ratio", "chi2", "degrees_of_freedom", "p")
+
+
+def misfit(found: FitOutcome) -> list[dict[str, object]]:
+    """Rows of misfit.csv: the residuals as a whole, then each thing that they may hang on."""
+    m = found.misfit
+    whole: dict[str, object] = {
+        "test": "residual over noise",
+        "where": m.where,
+        "ratio": _number(m.ratio),
+        "chi2": _number(m.chi2),
+        "degrees_of_freedom": _number(m.dof),
+        "p": _number(m.p),
+    }
+    parts: list[dict[str, object]] = [
+        {"test": s.name, "where": s.where, "ratio": _number(s.ratio), "degrees_of_freedom": s.dof or None,
+         "p": _number(s.p)}
+        for s in m.structure
+    ]  # fmt: skip
+    return [whole, *parts]
+
+
+def misfit_record(found: FitOutcome) -> dict[str, object]:
+    """The same for JSON, with what was made of it."""
+    return {**found.misfit.to_dict(), "intervals_widened": found.widened, "words": found.misfit_words}
+
+
+def _misfit_attributes(found: FitOutcome) -> dict[str, object]:
+    m = found.misfit
+    return {
+        "misfit": found.misfit_words,
+        "misfit_told": int(m.told),
+        "misfit_noise": m.noise,
+        "chi2": m.chi2,
+        "degrees_of_freedom": m.dof,
+        "p": m.p,
+        "residual_over_noise": m.ratio,
+        "intervals_widened": found.widened,
+    }
 
 
 def intervals(config: FitExperiment, found: FitOutcome) -> list[dict[str, object]]:
@@ -129,6 +172,7 @@ def intervals(config: FitExperiment, found: FitOutcome) -> list[dict[str, object
                 **{k: _number(row[k]) for k in ("value", "lower", "upper", "sd", "drift")},
                 "status": str(row["status"]),
                 "open": str(row["open"]),
+                "sd_note": str(row["sd_note"]),
                 "start": own.start_value,
                 "low": p.low,
                 "high": p.high,
