@@ -91,6 +91,6 @@ WRONG: dict[str, Callable[[float], Any]] = {
     "wavelengths off by a shift": lambda a: curve(TRUTH, GRID + 10.0 * a),
     "a stretched wavelength scale": lambda a: curve(TRUTH, 600.0 + (1.0 + 0.1 * a) * (GRID - 600.0)),
     "a blurred monochromator": lambda a: sum(curve(TRUTH, GRID + 20.0 * abs(a) * s) for s in (-1, 0, 1)) / 3.0,
-    "vessels of two sizes": lambda a: (1 - a) * curve(TRUTH) + a * curve({**TRUTH, "radius": 150.0, "blood": 0.2}),
+    "a white layer on top": lambda a: curve(TRUTH) + a * (1.0 - curve(TRUTH)) ** 2 * (GRID / 500.0) ** -2.0,
 }
 """Twelve ways in which data are another tissue's, or another instrument's, by a size."""

@@ -19,6 +19,8 @@ _HEADINGS = {
     "upper": "to",
 }
 
+_SHOWN = ["parameter", "unit", "value", "lower", "upper", "open", "sd", "sd_note", "drift", "status", "start"]
+
 
 SPREAD_CAPTION = (
     "What other models say beside each interval: the interval of the fit alone, the mean weighed by how well each "
@@ -45,7 +47,6 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
     if run.result is None or not len(run.table("fit")):
         return []
     result, found = run.result, run.table("fit")
-    level = float(result.attrs["level"])
     curves = ReportSection("curves", "The curves, and what the fit makes of them")
     curves.content.extend(_misfit(run))
     curves.content.extend(
@@ -63,40 +64,7 @@ def fit_sections(run: RunData, pictures: Pictures) -> list[ReportSection]:
         ),
         ]
     )  # fmt: skip
-    values = ReportSection("parameters", "The tissue that fits")
-    values.content.extend(
-        [
-            Text(_verdict(run, found)),
-            from_frame(
-                _shown(found),
-                f"Fitted values with {level:.0%} profile-likelihood intervals. An open end is a bound that the data "
-                "do not exclude. No standard deviation is shown where it says something else than the interval: at a "
-                "bound, where it takes another value that sits at its bound as known (conditional), or where the "
-                "interval is skew.",
-                titles=_HEADINGS,
-                only=[
-                    "parameter",
-                    "unit",
-                    "value",
-                    "lower",
-                    "upper",
-                    "open",
-                    "sd",
-                    "sd_note",
-                    "drift",
-                    "status",
-                    "start",
-                ],
-            ),
-            pictures.add("fit-intervals", draw.intervals(found, level), "Values and intervals between their bounds."),
-        ]
-    )
-    if len(run.table("correlation")) > 1:
-        values.content.append(
-            pictures.add("fit-correlation", draw.correlation(run.table("correlation")), "Correlation at the optimum.")
-        )
-    if len(run.table("spread")):
-        values.content.append(from_frame(_beside(run.table("spread")), SPREAD_CAPTION, titles=_SPREAD_HEADINGS))
+    values = _parameters(run, pictures, found)
     search = ReportSection("search", "The search, and its price")
     search.content.extend(
         [
@@ -160,6 +128,35 @@ def _alternatives(run: RunData) -> list[ReportSection]:
         ]
     )
     return [section]
+
+
+def _parameters(run: RunData, pictures: Pictures, found: pd.DataFrame) -> ReportSection:
+    """What was found, with intervals."""
+    assert run.result is not None
+    level = float(run.result.attrs["level"])
+    values = ReportSection("parameters", "The tissue that fits")
+    values.content.extend(
+        [
+            Text(_verdict(run, found)),
+            from_frame(
+                _shown(found),
+                f"Fitted values with {level:.0%} profile-likelihood intervals. An open end is a bound that the data "
+                "do not exclude. No standard deviation is shown where it says something else than the interval: at a "
+                "bound, where it takes another value that sits at its bound as known (conditional), or where the "
+                "interval is skew.",
+                titles=_HEADINGS,
+                only=_SHOWN,
+            ),
+            pictures.add("fit-intervals", draw.intervals(found, level), "Values and intervals between their bounds."),
+        ]
+    )
+    if len(run.table("correlation")) > 1:
+        values.content.append(
+            pictures.add("fit-correlation", draw.correlation(run.table("correlation")), "Correlation at the optimum.")
+        )
+    if len(run.table("spread")):
+        values.content.append(from_frame(_beside(run.table("spread")), SPREAD_CAPTION, titles=_SPREAD_HEADINGS))
+    return values
 
 
 def _misfit(run: RunData) -> list[Text | Table]:

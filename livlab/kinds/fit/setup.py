@@ -183,7 +183,7 @@ class FitSetup:
         """What a report must show, by the parameters' labels, once each."""
         edge = self.config.room().ends_at(found.best)
         stack = self.forward.stack(found.best)
-        texts = (found.misfit_words, *self.notes, *edge, *stack.notes, *found.notes, *found.verdict.sentences)
+        texts = (*self.notes, *edge, found.misfit_words, *stack.notes, *found.notes, *found.verdict.sentences)
         return list(dict.fromkeys(tables.named(text, self.config) for text in texts))
 
     def tissue(self, label: str, best: Mapping[str, float]) -> Tissue:
