@@ -83,7 +83,7 @@ def counted(name: str, ratio: float, draws: int, known: bool = True) -> tuple[in
     return missed, told, held, either
 
 
-@pytest.mark.parametrize("name", ["a band at 630 nm", "melanin", "stray light"])
+@pytest.mark.parametrize("name", ["melanin"])
 def test_a_wrong_model_is_told_or_its_intervals_hold_the_truth_in_short(name: str) -> None:
     missed, _, _, either = counted(name, 2.0, 5)
     assert either == 5
@@ -137,7 +137,7 @@ def judged(count: int, least: float, most: float) -> None:
 
 
 def test_p_is_even_and_intervals_hold_the_truth_in_short() -> None:
-    judged(40, 0.84, 1.0)  # 0.95 ± .034: three standard errors
+    judged(20, 0.80, 1.0)  # 0.95 ± .049: three standard errors
 
 
 @pytest.mark.slow
