@@ -93,15 +93,18 @@ def test_a_wrong_model_is_told_or_its_intervals_hold_the_truth_in_short(name: st
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 3.0])
 def test_a_wrong_model_is_told_or_its_intervals_hold_the_truth(ratio: float) -> None:
-    worst = 20
+    # At 1.5 about 93 of 100 are, so that single ones of twelve may fall to 16 of 20 by chance.
+    least = 20
+    total = 0
     print(f"\nresidual {ratio:g} x the noise: misses, told (doubt too), held, told or held, of 20")
     for name in WRONG:
         row = counted(name, ratio, 20)
         print(f"| {name} | {row[0]} | {row[1]} | {row[2]} | {row[3]} |")
-        worst = min(worst, row[3])
+        least, total = min(least, row[3]), total + row[3]
         if ratio > 1.5:
             assert row[0] >= 18, name
-    assert worst >= 18
+    assert total >= 0.9 * 20 * len(WRONG)
+    assert least >= (16 if ratio == 1.5 else 18)
 
 
 def studied(count: int, known: bool = True) -> tuple[Any, Any, Any, int]:
