@@ -82,6 +82,23 @@ def cold(stack: OpticalStack) -> xr.Dataset:
     return adding_doubling(stack)
 
 
+def crossing(gap: float) -> OpticalStack:
+    """Two layers whose indices differ by a gap, as where dispersion curves cross."""
+    first, second = HenyeyGreenstein(0.8), HenyeyGreenstein(0.9)
+    return plain_stack([(1.4, 0.1, 10.0, 0.5, first), (1.4 + gap, 0.2, 5.0, 1.0, second)])
+
+
+def near_indices() -> Table:
+    """What nearly equal indices cost against equal ones."""
+    table = Table("gap", "nodes", "ms", "times the equal ones'", title="two layers whose indices nearly match")
+    equal, _ = best(lambda: adding_doubling(crossing(0.0)))
+    for gap in (0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2):
+        wall, _ = best(lambda g=gap: adding_doubling(crossing(g)))
+        nodes = int(adding_doubling(crossing(gap)).nodes[0])
+        table.add_row(f"{gap:g}", str(nodes), f"{1e3 * wall:.1f}", f"{wall / equal:.1f}")
+    return table
+
+
 def main() -> None:
     console = Console(width=110)
     nodes = Table("case", *(f"{n} nodes" for n in COUNTS), title="error, milliseconds at a fixed node count")
@@ -116,6 +133,7 @@ def main() -> None:
     wall, cpu = best(lambda: cold(stack), 3)
     console.print(nodes)
     console.print(adaptive)
+    console.print(near_indices())
     console.print(
         f"12 wavelengths of 5 layers: {wall:.2f} s ({cpu:.2f} s of processor time), "
         f"estimate {float(result.error_estimate.max()):.0e}. A fixed node count also solves two thirds of it."

@@ -16,7 +16,7 @@ import xarray as xr
 
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
-from livlab.model.transport.angular import angular_grid, cone_fraction, exit_flux, flux_at
+from livlab.model.transport.angular import ExitDirections, cone_error, cone_fraction, exit_flux, flux_at
 from livlab.model.transport.doubling import (
     Below,
     add_interface,
@@ -28,9 +28,10 @@ from livlab.model.transport.doubling import (
 from livlab.model.transport.fresnel import fresnel, incoherent_stack
 from livlab.model.transport.moments import LayerOptics, Moments, layer_optics
 from livlab.model.transport.quadrature import AngularGrid
+from livlab.model.transport.refinement import ANGULAR, Quantities, Unresolved, stated_errors
 from livlab.units import FloatArray
 
-__all__ = ["adding_doubling", "cone_fraction", "exit_flux"]
+__all__ = ["adding_doubling", "cone_error", "cone_fraction", "exit_flux"]
 
 LEVELS = (8, 12, 16, 24, 32, 48, 64, 96)
 """Nodes per interval that are tried in turn."""
@@ -40,28 +41,44 @@ HIGHEST_ORDER = 1024
 
 
 @dataclass(frozen=True)
-class _Fluxes:
-    """What becomes of light of one incidence: reflected, transmitted, and absorbed per layer."""
+class _Exits:
+    """Exit directions above and below."""
 
-    reflected: float
-    transmitted: float
-    absorbed: FloatArray
+    above: ExitDirections
+    below: ExitDirections
+
+    @classmethod
+    def of(cls, stack: OpticalStack) -> _Exits:
+        under = stack.layers[-1].n if math.isinf(stack.layers[-1].thickness_mm) else stack.n_below
+        return cls(ExitDirections.of(stack, stack.n_above), ExitDirections.of(stack, under))
 
 
 @dataclass(frozen=True)
-class _Level:
-    """What one node count gives: fluxes of the beam and of diffuse light, the beam's exit flux per solid angle."""
+class _Wish:
+    """What is asked of a solution.
 
-    grid: AngularGrid
-    beam: _Fluxes
-    diffuse: _Fluxes
-    angular_up: FloatArray
-    angular_down: FloatArray
+    Attributes
+    ----------
+    mu0
+        Cosine of incidence.
+    counts
+        Node counts to try in turn, ascending.
+    tolerance
+        Error at which to stop; None: with the last count.
+    mu_min
+        Cone that is asked for; None: totals are.
+    """
 
-    def distance(self, other: _Level) -> float:
-        """Largest difference of the totals."""
-        pairs = ((self.beam, other.beam), (self.diffuse, other.diffuse))
-        return max(max(abs(a.reflected - b.reflected), abs(a.transmitted - b.transmitted)) for a, b in pairs)
+    mu0: float
+    counts: tuple[int, ...]
+    tolerance: float | None
+    mu_min: float | None
+
+    def error(self, errors: Quantities, exits: _Exits) -> float:
+        """Largest stated error of what is asked."""
+        if self.mu_min is not None:
+            return float(exits.above.cone(errors["reflectance_angular"], self.mu_min))
+        return max(float(e.max(initial=0.0)) for name, e in errors.items() if name not in ANGULAR)
 
 
 def adding_doubling(
@@ -71,6 +88,7 @@ def adding_doubling(
     nodes: int | None = None,
     tolerance: float = 1e-6,
     order: int = HIGHEST_ORDER,
+    mu_min: float | None = None,
 ) -> xr.Dataset:
     """Reflectance, transmittance and absorption of a stack, total and by angle, to a stated error.
 
@@ -88,9 +106,12 @@ def adding_doubling(
     nodes
         Nodes per interval between critical sines, ≥ 4. By default they rise until `tolerance` is met.
     tolerance
-        Wanted absolute error of the totals, > 0.
+        Wanted absolute error of what is asked, > 0: of all totals, unless `mu_min` asks for another thing.
     order
         Highest Legendre moment of the phase functions that is kept, ≥ 1.
+    mu_min
+        Least cosine of exit, in [0, 1], of a cone about the normal: its share of the light (`cone_fraction`) is then
+        what is asked, whose error in a narrow cone and the totals' have little to do with each other.
 
     Returns
     -------
@@ -102,7 +123,8 @@ def adding_doubling(
         `transmittance_diffuse_incidence`, `absorbed_diffuse_incidence`; `reflectance_angular` and
         `transmittance_angular` in 1/sr: scattered flux per solid angle of the outside, L·µ_o averaged
         over azimuth, at cosines mu_o (above) and mu_t (below), whose quadrature weights are
-        `solid_angle` and `solid_angle_below`; `error_estimate`, `nodes`, `converged`.
+        `solid_angle` and `solid_angle_below`. Each but the exact ones and `residual` has a stated error of its own,
+        `reflectance_error` and so on. `error_estimate`: that of what is asked; `nodes`, `converged`.
 
     Raises
     ------
@@ -111,9 +133,10 @@ def adding_doubling(
 
     Notes
     -----
-    The error estimate is the largest difference of the four totals between the last two node counts, so it
-    is the error of the coarser one (and at least a twentieth of the difference before that); the result's own
-    is usually 10 to 1000 times less. A half-space without absorption returns everything, by the limit.
+    A stated error is the difference between the last two node counts, so it is the error of the coarser one; the
+    result's own is usually 10 to 1000 times less. It is more where convergence is slow or two counts may agree by
+    chance, in layers too thin for the nodes (`refinement`), and for moments left out. A half-space without absorption
+    returns everything, by the limit.
 
     Examples
     --------
@@ -132,16 +155,22 @@ def adding_doubling(
         raise InputError.of("tolerance", tolerance, "must be positive", "Give an absolute error, such as 1e-6.")
     if order != int(order) or order < 1:
         raise InputError.of("order", order, "must be an integer of at least 1", "Leave it out.")
+    if mu_min is not None and not 0 <= mu_min <= 1:
+        raise InputError.of("mu_min", mu_min, "must be in [0, 1]", "Give the cosine of the cone's half-angle.")
     moments = Moments(int(order), min(1e-7, 0.03 * tolerance))
-    solved = [_solve(stack, k, mu0, nodes, tolerance, moments) for k in range(len(stack.wavelength_nm))]
-    return _dataset(stack, mu0, tolerance, solved, _notes(stack, moments))
+    counts = LEVELS if nodes is None else (max(4, 2 * int(nodes) // 3), int(nodes))
+    wish = _Wish(mu0, tuple(dict.fromkeys(counts)), tolerance if nodes is None else None, mu_min)
+    exits = _Exits.of(stack)
+    solved = [_solve(stack, k, wish, exits, moments) for k in range(len(stack.wavelength_nm))]
+    return _dataset(stack, mu0, tolerance, solved, exits, _notes(stack, moments, solved, tolerance))
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """One wavelength's answer."""
+    """One wavelength's answer, and the stated error of each quantity and of what was asked."""
 
-    level: _Level
+    values: Quantities
+    errors: Quantities
     error: float
     nodes: int
     specular: float
@@ -149,10 +178,8 @@ class _Solved:
     unscattered_down: float
 
 
-def _solve(
-    stack: OpticalStack, index: int, mu0: float, nodes: int | None, tolerance: float, moments: Moments
-) -> _Solved:
-    n_above, n_below = float(stack.n_above[index]), float(stack.n_below[index])
+def _solve(stack: OpticalStack, index: int, wish: _Wish, exits: _Exits, moments: Moments) -> _Solved:
+    n_above, n_below, mu0 = float(stack.n_above[index]), float(stack.n_below[index]), wish.mu0
     own = [float(layer.n[index]) for layer in stack.layers]
     if math.isinf(stack.layers[-1].thickness_mm):
         n_below = own[-1]
@@ -160,27 +187,24 @@ def _solve(
     first = AngularGrid.of(indices, 4, (n_above, mu0))
     beam = (first.snap(n_above), mu0)
     media = [layer_optics(layer, index, first.snap(n), moments) for layer, n in zip(stack.layers, own, strict=True)]
-    counts = LEVELS if nodes is None else (max(4, 2 * int(nodes) // 3), int(nodes))
-    previous, error, last, level, used = None, math.inf, 0.0, None, 0
-    for used in counts:
-        level = _level(AngularGrid.of(indices, used, beam), first.snap(n_above), media, first.snap(n_below))
-        if previous is not None:
-            # With 4 nodes asked both counts coincide: then nothing is known of the error.
-            step = level.distance(previous[1]) if previous[0] < used else math.nan
-            # Two counts may agree by chance: never claim more than a twentieth of the step before.
-            error = max(step, 0.05 * last)
-            last = step
-            if nodes is None and error <= tolerance:
-                break
-        previous = (used, level)
-    assert level is not None
+    specular = float(fresnel(first.snap(n_above), media[0].n, mu0))
+    found: list[Quantities] = []
+    errors: Quantities = {}
+    error, used = math.nan, 0
+    for used in wish.counts:
+        grid = AngularGrid.of(indices, used, beam)
+        whole = _level(grid, first.snap(n_above), media, first.snap(n_below))
+        found.append(_quantities(grid, first.snap(n_above), first.snap(n_below), whole, specular, exits))
+        errors = stated_errors(found, Unresolved.of(grid, media, moments.negligible))
+        error = wish.error(errors, exits)
+        if wish.tolerance is not None and error <= wish.tolerance:
+            break
     depths = [0.0 if m.absorption + m.scattering == 0 else (m.absorption + m.scattering) * m.thickness for m in media]
     up, down = incoherent_stack([first.snap(n) for n in indices], mu0, depths)
-    specular = float(fresnel(first.snap(n_above), media[0].n, mu0))
-    return _Solved(level, error, used, specular, max(up - specular, 0.0), down)
+    return _Solved(found[-1], errors, error, used, specular, max(up - specular, 0.0), down)
 
 
-def _level(grid: AngularGrid, n_above: float, media: list[LayerOptics], n_below: float) -> _Level:
+def _level(grid: AngularGrid, n_above: float, media: list[LayerOptics], n_below: float) -> Below:
     """Solve at one node count, from the bottom up."""
     scatter: dict[tuple[float, bytes], tuple[FloatArray, FloatArray]] = {}
     below = clear_below(len(grid.active(n_below)))
@@ -193,32 +217,37 @@ def _level(grid: AngularGrid, n_above: float, media: list[LayerOptics], n_below:
         layer = homogeneous_layer(grid.cosines(m.n), *scatter[key], m.absorption, m.scattering, m.thickness)
         below = add_layer(layer, below)
         under = m.n
-    below = add_interface(grid, n_above, under, below)
-    return _totals(grid, n_above, n_below, below)
+    return add_interface(grid, n_above, under, below)
 
 
-def _totals(grid: AngularGrid, n_above: float, n_below: float, whole: Below) -> _Level:
+def _quantities(
+    grid: AngularGrid, n_above: float, n_below: float, whole: Below, specular: float, exits: _Exits
+) -> dict[str, FloatArray]:
+    """Everything that is told of the stack at one node count."""
     flux = grid.flux()
     upper, lower = grid.active(n_above), grid.active(n_below)
     diffuse = flux[upper] / flux[upper].sum()
-    up, down = flux[upper] > 0, flux[lower] > 0
-    # A node's flux over its solid angle 2π s ds / (n² µ).
-    up_cosines, down_cosines = grid.cosines(n_above)[up], grid.cosines(n_below)[down]
     reflected, transmitted = whole.reflectance, whole.transmittance
-    return _Level(
-        grid,
-        beam=_Fluxes(float(reflected[:, 0].sum()), float(transmitted[:, 0].sum()), whole.absorbed[:, 0]),
-        diffuse=_Fluxes(
-            float(reflected.sum(axis=0) @ diffuse),
-            float(transmitted.sum(axis=0) @ diffuse),
-            whole.absorbed @ diffuse,
-        ),
-        angular_up=reflected[up, 0] * up_cosines * n_above**2 / (2 * math.pi * flux[upper][up]),
-        angular_down=transmitted[down, 0] * down_cosines * n_below**2 / (2 * math.pi * flux[lower][down]),
-    )
+
+    def by_angle(part: FloatArray, nodes: Any, n: float, directions: ExitDirections) -> FloatArray:
+        # A node's flux over its solid angle 2π s ds / (n² µ).
+        up = flux[nodes] > 0
+        known = part[up, 0] * grid.cosines(n)[up] * n**2 / (2 * math.pi * flux[nodes][up])
+        return flux_at(grid, known, n * directions.sines)
+
+    return {
+        "reflectance": np.asarray(reflected[:, 0].sum() - specular),
+        "transmittance": np.asarray(transmitted[:, 0].sum()),
+        "absorbed": whole.absorbed[:, 0],
+        "reflectance_diffuse_incidence": np.asarray(reflected.sum(axis=0) @ diffuse),
+        "transmittance_diffuse_incidence": np.asarray(transmitted.sum(axis=0) @ diffuse),
+        "absorbed_diffuse_incidence": whole.absorbed @ diffuse,
+        "reflectance_angular": by_angle(reflected, upper, n_above, exits.above),
+        "transmittance_angular": by_angle(transmitted, lower, n_below, exits.below),
+    }
 
 
-def _notes(stack: OpticalStack, moments: Moments) -> list[str]:
+def _notes(stack: OpticalStack, moments: Moments, solved: list[_Solved], tolerance: float) -> list[str]:
     notes = list(stack.notes)
     if any(i.absorb_below_mm > 0 for x in stack.layers for i in x.interactions):
         notes.append(
@@ -229,37 +258,50 @@ def _notes(stack: OpticalStack, moments: Moments) -> list[str]:
             f"phase function longer than {moments.highest} moments: {moments.worst_peak:.2g} of the scattering "
             "counts as unscattered (delta-M)"
         )
+    short = np.array([not s.error <= tolerance for s in solved])
+    if short.any():
+        nm = ", ".join(f"{x:g}" for x in stack.wavelength_nm[short][:6]) + (", ..." if short.sum() > 6 else "")
+        worst = max(s.error for s, missed in zip(solved, short, strict=True) if missed)
+        notes.append(
+            f"adding-doubling: the wished error of {tolerance:.2g} was not reached at {nm} nm with "
+            f"{max(s.nodes for s in solved)} nodes an interval: {worst:.2g}"
+        )
     return notes
 
 
-def _dataset(stack: OpticalStack, mu0: float, tolerance: float, solved: list[_Solved], notes: list[str]) -> xr.Dataset:
-    angular, directions, breaks = _angular(stack, solved)
+_UNITS = dict.fromkeys(ANGULAR, "1/sr")
+_DIMS: dict[str, tuple[str, ...]] = {
+    "reflectance": ("wavelength",),
+    "transmittance": ("wavelength",),
+    "absorbed": ("wavelength", "layer"),
+    "reflectance_diffuse_incidence": ("wavelength",),
+    "transmittance_diffuse_incidence": ("wavelength",),
+    "absorbed_diffuse_incidence": ("wavelength", "layer"),
+    "reflectance_angular": ("wavelength", "mu_o"),
+    "transmittance_angular": ("wavelength", "mu_t"),
+}
 
+
+def _dataset(
+    stack: OpticalStack, mu0: float, tolerance: float, solved: list[_Solved], exits: _Exits, notes: list[str]
+) -> xr.Dataset:
     def column(values: list[float]) -> tuple[str, FloatArray, dict[str, str]]:
         return ("wavelength", np.array(values), {"units": "1"})
 
-    def by_layer(values: list[FloatArray]) -> tuple[tuple[str, str], FloatArray, dict[str, str]]:
-        return (("wavelength", "layer"), np.array(values), {"units": "1"})
-
-    beam, diffuse = [s.level.beam for s in solved], [s.level.diffuse for s in solved]
-    reflectance = [x.reflected - s.specular for x, s in zip(beam, solved, strict=True)]
-    balance = [
-        1.0 - s.specular - r - x.transmitted - float(x.absorbed.sum())
-        for x, s, r in zip(beam, solved, reflectance, strict=True)
-    ]
+    told: dict[str, Any] = {
+        "specular": column([s.specular for s in solved]),
+        "unscattered_reflectance": column([s.unscattered_up for s in solved]),
+        "unscattered_transmittance": column([s.unscattered_down for s in solved]),
+        "residual": column([1.0 - s.specular - _accounted(s.values) for s in solved]),
+    }
+    for name, dims in _DIMS.items():
+        about = {"units": _UNITS.get(name, "1")}
+        told[name] = (dims, np.array([s.values[name] for s in solved]), about)
+        told[f"{name}_error"] = (dims, np.array([s.errors[name] for s in solved]), about)
+    sides = (("mu_o", "solid_angle", exits.above), ("mu_t", "solid_angle_below", exits.below))
     return xr.Dataset(
         {
-            "reflectance": column(reflectance),
-            "specular": column([s.specular for s in solved]),
-            "unscattered_reflectance": column([s.unscattered_up for s in solved]),
-            "transmittance": column([x.transmitted for x in beam]),
-            "unscattered_transmittance": column([s.unscattered_down for s in solved]),
-            "absorbed": by_layer([x.absorbed for x in beam]),
-            "residual": column(balance),
-            "reflectance_diffuse_incidence": column([x.reflected for x in diffuse]),
-            "transmittance_diffuse_incidence": column([x.transmitted for x in diffuse]),
-            "absorbed_diffuse_incidence": by_layer([x.absorbed for x in diffuse]),
-            **angular,
+            **told,
             "error_estimate": column([s.error for s in solved]),
             "nodes": ("wavelength", np.array([s.nodes for s in solved])),
             "converged": ("wavelength", np.array([s.error <= tolerance for s in solved])),
@@ -267,38 +309,18 @@ def _dataset(stack: OpticalStack, mu0: float, tolerance: float, solved: list[_So
         coords={
             "wavelength": ("wavelength", stack.wavelength_nm, {"units": "nm"}),
             "layer": [x.name for x in stack.layers],
-            **directions,
+            **{dim: (dim, side.cosines, {"units": "1"}) for dim, _, side in sides},
+            **{weight: (dim, side.solid_angle, {"units": "sr"}) for dim, weight, side in sides},
         },
         attrs={
             "solver": "adding-doubling",
             "mu0": mu0,
             "tolerance": tolerance,
-            "angular_breaks": np.array(breaks),
+            "angular_breaks": np.array(exits.above.breaks),
             "notes": "; ".join(notes),
         },
     )
 
 
-def _angular(stack: OpticalStack, solved: list[_Solved]) -> tuple[dict[str, Any], dict[str, Any], tuple[float, ...]]:
-    """Scattered flux per solid angle, the exit directions that all wavelengths share, and their breaks above."""
-    n_under = stack.layers[-1].n if math.isinf(stack.layers[-1].thickness_mm) else stack.n_below
-    above, under = angular_grid(stack, stack.n_above), angular_grid(stack, n_under)
-    angular: dict[str, Any] = {}
-    cosines: dict[str, Any] = {}
-    weights: dict[str, Any] = {}
-    for name, grid, dim, solid_angle in (
-        ("reflectance", above, "mu_o", "solid_angle"),
-        ("transmittance", under, "mu_t", "solid_angle_below"),
-    ):
-        top = grid.breaks[-1]
-        mu = grid.cosines(top)[1:]
-        share = np.sqrt((1 - mu) * (1 + mu))
-        rows = []
-        for k, s in enumerate(solved):
-            n = float((stack.n_above if name == "reflectance" else n_under)[k])
-            values = s.level.angular_up if name == "reflectance" else s.level.angular_down
-            rows.append(flux_at(s.level.grid, values, s.level.grid.snap(n) * share))
-        angular[f"{name}_angular"] = (("wavelength", dim), np.array(rows), {"units": "1/sr"})
-        cosines[dim] = (dim, mu, {"units": "1"})
-        weights[solid_angle] = (dim, 2 * math.pi * grid.flux()[1:] / (top * top * mu), {"units": "sr"})
-    return angular, {**cosines, **weights}, above.breaks
+def _accounted(values: Quantities) -> float:
+    return float(values["reflectance"] + values["transmittance"] + values["absorbed"].sum())

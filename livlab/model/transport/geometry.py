@@ -42,12 +42,25 @@ class Readout:
     mirror_seen: bool
     notes: tuple[str, ...] = ()
 
+    @property
+    def mu_min(self) -> float | None:
+        """Least cosine of the cone that is read, None for the hemisphere."""
+        return math.cos(self.tally.theta_edges[-1]) if self.tally.theta_edges else None
+
+    def error_of_endless(self, solved: xr.Dataset) -> FloatArray:
+        """(W,) stated error of `of_endless`: that of the cone, or of all that is reflected."""
+        from livlab.model.transport.angular import cone_error
+
+        mu_min = self.mu_min
+        found = solved["reflectance_error"] if mu_min is None else cone_error(solved, mu_min)
+        return np.asarray(float(np.abs(self.weights).max()) * found.to_numpy())
+
     def of_endless(self, solved: xr.Dataset) -> FloatArray:
         """(W,) the reading of an endless sample as adding–doubling solved it, through an endless port."""
         from livlab.model.transport.angular import cone_fraction
 
-        if self.tally.theta_edges:
-            seen = cone_fraction(solved, math.cos(self.tally.theta_edges[-1])).to_numpy()
+        if self.mu_min is not None:
+            seen = cone_fraction(solved, self.mu_min).to_numpy()
             if self.mirror_seen:
                 seen = seen + solved["unscattered_reflectance"].to_numpy()
         else:

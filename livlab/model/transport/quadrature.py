@@ -5,6 +5,10 @@ A medium of index n holds the nodes with s < n. The grid breaks at every index t
 turns totally reflected), and each interval is mapped by s² = a² + (b² − a²) sin²(πt/2) with Gauss–Legendre
 nodes in t: in the medium of index b the cosine is then proportional to cos(πt/2), so the square roots at
 a critical angle and the crowding of light at grazing directions are smooth in t, and convergence is fast.
+
+Where the next index d is nearly b, the cosine in the denser medium is √(ε² + c²), c that in the rarer one and
+ε² = d² − b²: almost a corner. There b² − s² = ε² sinh² u, u = U (1 − t²): both cosines, ε sinh u and ε cosh u, are
+smooth in u on every scale from ε on, and the square root at a is one in t.
 """
 
 from __future__ import annotations
@@ -13,7 +17,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +26,20 @@ from livlab.units import FloatArray
 SAME_INDEX = 1e-9
 """Indices closer than this, relatively, are one: what they do to fluxes is of the same size, 1e-9."""
 
-_NEAR = 0.1
+_NEAR = 0.3
 """Two indices are near if light at grazing incidence passes between them at a cosine below this."""
+
+_SHARPEST = 1e-3
+"""Least ε that is resolved, over the index: corners smaller than it hold less than a millionth of the light."""
+
+_SOFT_NODES = 0.1
+"""Nodes more, as a share, that a near corner takes for each factor e between its own scale and the interval's."""
+
+_LITTLE = 1e-2
+"""Share of an interval's flux from which on it is a small one."""
+
+_DECAY = 1.15
+"""Logarithm of what one node more takes from the error, at least: 1/√10."""
 
 
 @lru_cache(maxsize=256)
@@ -55,6 +70,58 @@ def lagrange(count: int, at: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class Interval:
+    """One interval of the sine, (low, high), and its variable t on (0, 1).
+
+    Attributes
+    ----------
+    low, high
+        Its ends.
+    soft
+        ε = √(d² − high²) if the next index d is nearly `high`, else 0.
+    """
+
+    low: float
+    high: float
+    soft: float = 0.0
+
+    @property
+    def _area(self) -> float:
+        return (self.high - self.low) * (self.high + self.low)
+
+    @property
+    def reach(self) -> float:
+        """U, the range of u next to a near corner."""
+        return math.asinh(math.sqrt(self._area) / self.soft)
+
+    def rest(self, t: FloatArray) -> FloatArray:
+        """high² − s² at places t."""
+        if self.soft == 0.0:
+            return np.asarray(self._area * np.cos(0.5 * math.pi * t) ** 2)
+        return np.asarray(self.soft**2 * np.sinh(self.reach * (1.0 - t * t)) ** 2)
+
+    def flux(self, t: FloatArray) -> FloatArray:
+        """S ds/dt at places t."""
+        if self.soft == 0.0:
+            return np.asarray(self._area * 0.25 * math.pi * np.sin(math.pi * t))
+        reach = self.reach
+        return np.asarray(self.soft**2 * reach * t * np.sinh(2.0 * reach * (1.0 - t * t)))
+
+    def cosines(self, n: float, t: FloatArray) -> FloatArray:
+        """Cosines in a medium of index n ≥ high at places t."""
+        return np.minimum(np.sqrt((n - self.high) * (n + self.high) + self.rest(t)) / n, 1.0)
+
+    def place(self, sine: FloatArray) -> FloatArray:
+        """Places t in [0, 1] of the given transverse sines."""
+        if self.soft == 0.0:
+            share = (sine - self.low) * (sine + self.low) / self._area
+            return np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))) * (2.0 / math.pi)
+        rest = np.clip((self.high - sine) * (self.high + sine), 0.0, self._area)
+        share = np.arcsinh(np.sqrt(rest) / self.soft) / self.reach
+        return np.asarray(np.sqrt(np.clip(1.0 - share, 0.0, 1.0)))
+
+
+@dataclass(frozen=True)
 class AngularGrid:
     """Nodes of the transverse sine: a beam of zero width first, then the intervals' nodes.
 
@@ -66,11 +133,14 @@ class AngularGrid:
         Nodes in each interval.
     beam
         Index of the medium that the beam comes from and its cosine there; its node has no weight.
+    soft
+        ε of each interval (`Interval`); none: 0 for all.
     """
 
     breaks: tuple[float, ...]
     counts: tuple[int, ...]
     beam: tuple[float, float]
+    soft: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, indices: Iterable[float], nodes: int, beam: tuple[float, float]) -> AngularGrid:
@@ -79,19 +149,34 @@ class AngularGrid:
         for n in sorted(indices):
             if not breaks or n > breaks[-1] * (1.0 + SAME_INDEX):
                 breaks.append(float(n))
-        breaks = _graded(breaks)
-        counts, low = [], 0.0
-        for high in breaks:
+        counts, soft, low = [], [], 0.0
+        for high, denser in zip(breaks, [*breaks[1:], math.inf], strict=True):
+            soft.append(_softness(low, high, denser))
             # Widest view of the interval: in the rarest medium that holds it, it ends at 90°.
             wide = math.acos(low / high) > 0.5
-            counts.append(max(4, nodes if wide else math.ceil(0.75 * nodes)))
+            count = nodes if wide else math.ceil(0.75 * nodes)
+            share = (high - low) * (high + low) / (high * high)
+            if share < _LITTLE:
+                # Little light goes there, which may be less exact by as much.
+                count = math.ceil(count + math.log(share / _LITTLE) / _DECAY)
+            if soft[-1]:
+                count = math.ceil(count * (1.0 + _SOFT_NODES * Interval(low, high, soft[-1]).reach))
+            counts.append(max(4, count))
             low = high
-        return cls(tuple(breaks), tuple(counts), beam)
+        return cls(tuple(breaks), tuple(counts), beam, tuple(soft))
 
     @property
     def size(self) -> int:
         """Number of nodes, the beam's included."""
         return 1 + sum(self.counts)
+
+    @property
+    def intervals(self) -> list[tuple[Interval, int]]:
+        """The intervals, ascending, and how many nodes each has."""
+        lows = (0.0, *self.breaks[:-1])
+        soft = self.soft or (0.0,) * len(self.breaks)
+        made = [Interval(*x) for x in zip(lows, self.breaks, soft, strict=True)]
+        return list(zip(made, self.counts, strict=True))
 
     def snap(self, n: float) -> float:
         """The break that stands for the index n."""
@@ -111,55 +196,26 @@ class AngularGrid:
 
     def flux(self) -> FloatArray:
         """(size,) ∫ s ds of each node: its share of an isotropic radiance's flux, in every medium."""
-        parts, low = [np.zeros(1)], 0.0
-        for high, count in zip(self.breaks, self.counts, strict=True):
+        parts = [np.zeros(1)]
+        for interval, count in self.intervals:
             t, w = gauss_legendre(count)
-            parts.append(w * (high - low) * (high + low) * 0.25 * math.pi * np.sin(math.pi * t))
-            low = high
+            parts.append(w * interval.flux(t))
         return np.concatenate(parts)
 
     def cosines(self, n: float) -> FloatArray:
         """Cosines in a medium of index n of the nodes it holds, in the order of `active`."""
         beam = self.beam_cosine(n)
         parts = [] if beam is None else [np.array([beam])]
-        low = 0.0
-        for high, count in zip(self.breaks, self.counts, strict=True):
-            if high <= n:
-                parts.append(interval_cosines(n, low, high, gauss_legendre(count)[0]))
-            low = high
+        parts += [i.cosines(n, gauss_legendre(count)[0]) for i, count in self.intervals if i.high <= n]
         return np.concatenate(parts)
 
 
-def _graded(breaks: list[float]) -> list[float]:
-    """Further breaks where two indices nearly match.
-
-    In the denser medium the cosine is then √(ε² + c²), c that in the rarer one: almost a corner, which
-    intervals that grow geometrically from ε resolve.
-    """
-    graded: list[float] = []
-    low = 0.0
-    for b, denser in pairwise(breaks):
-        epsilon = math.sqrt((denser - b) * (denser + b)) / denser
-        widest = math.sqrt((b - low) * (b + low)) / b
-        cuts, c = [], 4.0 * epsilon
-        while epsilon < _NEAR and c < 0.5 * widest:
-            cuts.append(b * math.sqrt((1.0 - c) * (1.0 + c)))
-            c *= 8.0
-        graded += [*reversed(cuts), b]
-        low = b
-    return [*graded, *breaks[-1:]]
-
-
-def interval_cosines(n: float, low: float, high: float, t: FloatArray) -> FloatArray:
-    """Cosines in a medium of index n ≥ high at places t of the interval (low, high) of the sine."""
-    rest = (high - low) * (high + low) * np.cos(0.5 * math.pi * t) ** 2
-    return np.minimum(np.sqrt((n - high) * (n + high) + rest) / n, 1.0)
-
-
-def interval_place(low: float, high: float, sine: FloatArray) -> FloatArray:
-    """Places t in [0, 1] of the given transverse sines in the interval (low, high)."""
-    share = (sine - low) * (sine + low) / ((high - low) * (high + low))
-    return np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))) * (2.0 / math.pi)
+def _softness(low: float, high: float, denser: float) -> float:
+    """ε of an interval next to one of nearly its index, 0 if there is no such, or the interval itself is as narrow."""
+    if not math.isfinite(denser):
+        return 0.0
+    epsilon = max(math.sqrt((denser - high) * (denser + high)), _SHARPEST * denser)
+    return epsilon if epsilon < _NEAR * denser and 2.0 * epsilon < math.sqrt((high - low) * (high + low)) else 0.0
 
 
 @lru_cache(maxsize=64)
@@ -172,16 +228,14 @@ def legendre_table(grid: AngularGrid, n: float, order: int) -> FloatArray:
     """
     beam = grid.beam_cosine(n)
     blocks = [] if beam is None else [(np.array([beam]), np.ones((1, 1)))]
-    low = 0.0
-    for high, count in zip(grid.breaks, grid.counts, strict=True):
-        if high <= n:
-            ends = interval_cosines(n, low, high, np.array([0.0, 1.0]))
+    for interval, count in grid.intervals:
+        if interval.high <= n:
+            ends = interval.cosines(n, np.array([0.0, 1.0]))
             width = math.acos(ends[1]) - math.acos(min(ends[0], 1.0))
-            t, w = gauss_legendre(8 * math.ceil((count + 20 + 0.45 * order * width) / 8))
-            mu = interval_cosines(n, low, high, t)
-            span = (high - low) * (high + low) * 0.25 * math.pi * np.sin(math.pi * t) / (n * n)
-            blocks.append((mu, lagrange(count, t) * (w * span / mu)[:, None]))
-        low = high
+            fine = 0.45 if interval.soft == 0.0 else 0.9
+            t, w = gauss_legendre(8 * math.ceil((count + 20 + fine * order * width) / 8))
+            mu = interval.cosines(n, t)
+            blocks.append((mu, lagrange(count, t) * (w * interval.flux(t) / (n * n) / mu)[:, None]))
     mu = np.concatenate([b[0] for b in blocks])
     values = np.empty((order + 1, mu.size))
     values[0] = 1.0

@@ -29,7 +29,7 @@ WORTH_NO_WALK = 3.0
 """Seconds of adding–doubling below which a walk is not even tried: its compiling and its pilot take as long."""
 
 SPARE = 0.2
-"""Adding–doubling is asked for this share of the wished error: its own estimate is one of totals, not of cones."""
+"""Adding–doubling is asked for this share of the wished error: it is gauged at one wavelength only."""
 
 TOLERANCES = (1e-9, 1e-4)
 """Finest and coarsest tolerance that is asked of adding–doubling."""
@@ -179,7 +179,7 @@ def tolerance_of(stack: OpticalStack, view: Readout, accuracy: Accuracy) -> floa
         value = np.zeros(1)
         if accuracy.relative is not None:
             mu0 = math.cos(view.source.angle_rad)
-            value = view.of_endless(adding_doubling(_middle(stack), mu0=mu0, tolerance=1e-3))
+            value = view.of_endless(adding_doubling(_middle(stack), mu0=mu0, tolerance=1e-3, mu_min=view.mu_min))
         wanted = SPARE * (accuracy.target(value) or 0.0) / max(1.0, float(view.weights.max()))
     return min(max(wanted, TOLERANCES[0]), TOLERANCES[1])
 
@@ -190,7 +190,8 @@ def _gauge(stack: OpticalStack, view: Readout, accuracy: Accuracy, clock: Clock)
 
     started = clock()
     tolerance = tolerance_of(stack, view, accuracy)
-    adding_doubling(_middle(stack), mu0=math.cos(view.source.angle_rad), tolerance=tolerance)
+    mu0 = math.cos(view.source.angle_rad)
+    adding_doubling(_middle(stack), mu0=mu0, tolerance=tolerance, mu_min=view.mu_min)
     return tolerance, (clock() - started) * len(stack.wavelength_nm)
 
 

@@ -62,10 +62,27 @@ def test_grazing_beam_keeps_its_digits():
     assert grid.beam_cosine(1.0) == pytest.approx(1e-6, rel=1e-14)
 
 
-def test_near_indices_are_graded_and_equal_ones_merged():
-    assert len(AngularGrid.of((1.0, 1.4), 8, NORMAL).breaks) == 2
-    assert len(AngularGrid.of((1.0, 1 + 1e-6), 8, NORMAL).breaks) > 3
+def test_near_indices_are_soft_and_equal_ones_merged():
+    assert AngularGrid.of((1.0, 1.4), 8, NORMAL).soft == (0.0, 0.0)
+    near = AngularGrid.of((1.0, 1 + 1e-6), 8, NORMAL)
+    assert near.soft[0] > 0
+    assert near.size < 2 * AngularGrid.of((1.0,), 8, NORMAL).size + 4
     assert len(AngularGrid.of((1.0, 1 + 1e-13, 1.0), 8, NORMAL).breaks) == 1
+
+
+@pytest.mark.parametrize("apart", [1e-8, 1e-6, 1e-4, 1e-2])
+def test_a_soft_interval_integrates_both_cosines(apart):
+    """∫ µ s ds in closed form in the rarer and in the denser medium, whose cosine is almost a corner."""
+    low, high, denser = 1.0, 1.4, 1.4 * (1 + apart)
+    grid = AngularGrid.of((low, high, denser), 16, (low, 1.0))
+    interval, count = grid.intervals[1]
+    assert interval.soft > 0
+    t, w = gauss_legendre(count)
+    np.testing.assert_allclose(interval.place(np.sqrt(high**2 - interval.rest(t))), t, atol=1e-6)
+    assert w @ interval.flux(t) == pytest.approx((high**2 - low**2) / 2, rel=1e-12)
+    for n in (high, denser):
+        exact = ((n * n - low * low) ** 1.5 - (n * n - high * high) ** 1.5) / (3 * n)
+        assert (w * interval.flux(t)) @ interval.cosines(n, t) == pytest.approx(exact, rel=3e-9)
 
 
 def test_rounding_never_makes_a_cosine_above_one():
