@@ -102,7 +102,8 @@ def goniometer(
     -------
     xr.Dataset
         `brdf` (wavelength, theta_i, theta_o, phi) in 1/sr without cosine and without the mirror reflection, `brdf_se`;
-        `reflectance`, `reflectance_se` (wavelength, theta_i): the hemisphere's, as the walk counts it; `integral`:
+        `reflectance`, `reflectance_se` (wavelength, theta_i): the hemisphere's, as the walk counts it, and
+        `reflectance_systematic`: what photons given up could have added; `integral`:
         Σ brdf · projected solid angle, which equals it; `specular`: the mirror reflection. φ = 0 is the light's side.
 
     Raises
@@ -134,6 +135,7 @@ def goniometer(
                     "integral": r["reflectance_directed"].sum(("theta_o", "phi")),
                     "reflectance": r["reflectance"],
                     "reflectance_se": r["reflectance_se"],
+                    "reflectance_systematic": r["unfinished_share"],
                     "specular": r["specular"],
                 },
                 attrs={"seconds": r.attrs["seconds"], "compile_seconds": r.attrs["compile_seconds"]},

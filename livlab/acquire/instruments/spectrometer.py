@@ -87,9 +87,10 @@ def measure(
     Returns
     -------
     xr.Dataset
-        On `wavelength` in nm: value, standard_error, samples, converged; and, as shares of the incident light
-        with standard errors `_se`: reflectance (all that leaves the top, seen or not, without specular),
-        specular, transmittance, absorbed (and `layer`), lost (through the sides), redirect_loss, residual.
+        On `wavelength` in nm: value, standard_error, systematic (bound of its other errors), samples, converged;
+        and, as shares of the incident light with standard errors `_se` and bounds `_systematic`: reflectance (all
+        that leaves the top, seen or not, without specular), specular, transmittance, absorbed (and `layer`), lost
+        (through the sides), redirect_loss, residual.
         Attributes: instrument and solver (JSON), rung, samples, seed, variant, estimator, seconds, compile_seconds,
         launches, notes (one a line); of a walk trace_seconds, trace_samples, trace_error: how its error fell.
 
@@ -170,10 +171,11 @@ def _by_walk(
         if not converged.all():
             short = ", ".join(f"{x:g}" for x in stack.wavelength_nm[~converged])
             said.append(f"wanted standard error not reached at {short} nm")
-        if walks.unfinished.any():
-            said.append(f"{int(walks.unfinished.sum())} photons were given up before they ended; see residual")
-        out = _dataset(stack, values, errors, walks.samples, converged)
+        said += walks.notes()
+        bounds = {name: walks.systematic(name) for name in ("value", *BUDGET)} | {"specular": errors["specular"]}
+        out = _dataset(stack, values, errors, bounds, walks.samples, converged)
         out["unfinished"] = ("wavelength", walks.unfinished.copy())
+        out["unfinished_share"] = ("wavelength", walks.unfinished_share.copy(), {"units": "1"})
         out.attrs = _attributes(instrument, solver, said) | {
             "rung": f"walk {walks.rule.estimator}",
             "samples": int(walks.samples.sum()),
@@ -237,17 +239,22 @@ def _by_adding_doubling(
     notes = instrument.endless_notes()
     started = time.perf_counter()
     mu0 = math.cos(view.source.angle_rad)
-    solved = adding_doubling(stack, mu0=mu0, tolerance=tolerance)
+    solved = adding_doubling(stack, mu0=mu0, tolerance=tolerance, mu_min=view.mu_min)
     specular = solved["specular"].to_numpy()
     zero = np.zeros_like(specular)
     values = {name: solved[name].to_numpy() for name in ("reflectance", "specular", "transmittance", "absorbed")}
     values |= {"lost": zero, "redirect_loss": zero, "residual": solved["residual"].to_numpy()}
     values["value"] = view.of_endless(solved)
     errors = {name: np.zeros_like(array) for name, array in values.items()}
+    bounds = errors | {
+        name: solved[f"{name}_error"].to_numpy() for name in ("reflectance", "transmittance", "absorbed")
+    }
+    bounds["value"] = view.error_of_endless(solved)
     converged = np.asarray(solved["converged"].to_numpy(), dtype=bool)
-    out = _dataset(stack, values, errors, np.zeros(len(specular), dtype=np.int64), converged)
-    out["error_estimate"] = ("wavelength", solved["error_estimate"].to_numpy(), {"units": "1"})
+    out = _dataset(stack, values, errors, bounds, np.zeros(len(specular), dtype=np.int64), converged)
+    out["error_estimate"] = ("wavelength", bounds["value"].copy(), {"units": "1"})
     out["unfinished"] = ("wavelength", np.zeros(len(specular), dtype=np.int64))
+    out["unfinished_share"] = ("wavelength", zero.copy(), {"units": "1"})
     more = solved.attrs.get("notes", ())
     notes = [*dict.fromkeys([*stack.notes, *([more] if isinstance(more, str) else more), *notes, *view.notes, *said])]
     out.attrs = _attributes(instrument, solver, notes) | {
@@ -267,6 +274,7 @@ def _dataset(
     stack: OpticalStack,
     values: dict[str, FloatArray],
     errors: dict[str, FloatArray],
+    bounds: dict[str, FloatArray],
     samples: NDArray[np.int64],
     converged: NDArray[np.bool_],
 ) -> xr.Dataset:
@@ -279,12 +287,14 @@ def _dataset(
     unit = {"units": "1"}
     out["value"] = ("wavelength", values["value"], unit)
     out["standard_error"] = ("wavelength", errors["value"], unit)
+    out["systematic"] = ("wavelength", bounds["value"], unit)
     out["samples"] = ("wavelength", samples.copy())
     out["converged"] = ("wavelength", converged)
     for name in ("specular", *BUDGET):
         dims = ("wavelength", "layer") if name == "absorbed" else ("wavelength",)
         out[name] = (dims, values[name].copy(), unit)
         out[f"{name}_se"] = (dims, errors[name], unit)
+        out[f"{name}_systematic"] = (dims, bounds[name], unit)
     return out
 
 

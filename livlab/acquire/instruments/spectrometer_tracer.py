@@ -215,10 +215,11 @@ def _dataset(
     out["samples"] = ("wavelength", np.full(w, samples, dtype=np.int64))
     out["converged"] = ("wavelength", met)
     out["unfinished"] = ("wavelength", np.zeros(w, dtype=np.int64))
-    out["specular"], out["specular_se"] = ("wavelength", specular, unit), ("wavelength", np.zeros(w), unit)
+    out["specular"] = ("wavelength", specular, unit)
+    out["specular_se"], out["specular_systematic"] = (("wavelength", np.zeros(w), unit) for _ in range(2))
     for name in BUDGET:
         shape = (w, len(stack.layers)) if name == "absorbed" else (w,)
         dims = ("wavelength", "layer") if name == "absorbed" else ("wavelength",)
-        for key in (name, f"{name}_se"):
+        for key in (name, f"{name}_se", f"{name}_systematic"):
             out[key] = (dims, np.full(shape, np.nan), unit)
     return out

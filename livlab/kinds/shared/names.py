@@ -5,7 +5,7 @@ A solver calls all light that leaves the lit side its `reflectance`; in a run's 
 
 import xarray as xr
 
-DIFFUSE = {"reflectance": "diffuse_reflectance", "reflectance_se": "diffuse_reflectance_se"}
+DIFFUSE = {f"reflectance{end}": f"diffuse_reflectance{end}" for end in ("", "_se", "_systematic")}
 """By a solver's name, the name in files."""
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 SAVE_EVERY_SECONDS = 5.0
 """A reading under way is saved this often, so that a killed process loses little."""
 
-_BUDGET = ("specular", "transmittance", "lost", "redirect_loss", "residual")
+_BUDGET = ("specular", "transmittance", "lost", "redirect_loss", "residual", "absorbed", "diffuse_reflectance")
 
 
 @dataclass(frozen=True)
@@ -270,13 +270,12 @@ def _result(config: SpectralExperiment, pieces: dict[str, xr.Dataset], reference
     """The root group of result.nc."""
     made = {}
     for name, piece in pieces.items():
-        kept = piece[[x for b in _BUDGET for x in (b, f"{b}_se")] + ["absorbed", "absorbed_se", "samples", "converged"]]
-        kept = kept.assign(
-            reflectance=piece["value"],
-            reflectance_se=piece["standard_error"],
-            diffuse_reflectance=piece["diffuse_reflectance"],
-            diffuse_reflectance_se=piece["diffuse_reflectance_se"],
-        )
+        parts = [f"{b}{end}" for b in _BUDGET for end in ("", "_se", "_systematic")]
+        # What was kept before systematic errors were is gone on from, too.
+        kept = piece[[x for x in (*parts, "samples", "converged") if x in piece]]
+        if "systematic" in piece:
+            kept = kept.assign(reflectance_systematic=piece["systematic"])
+        kept = kept.assign(reflectance=piece["value"], reflectance_se=piece["standard_error"])
         curve = processed(points(piece), config.processing)
         value, error = shown(curve, config.processing)
         x = ("wavelength_curve", curve.wavelength_nm, {"units": "nm"})

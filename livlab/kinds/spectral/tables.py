@@ -93,7 +93,9 @@ def convergence(pieces: dict[str, xr.Dataset]) -> Made:
 
 
 def largest_error(piece: xr.Dataset) -> float:
-    """The largest error over the wavelengths: of sampling, or what a deterministic solver estimates of its own."""
+    """The largest error over the wavelengths: of sampling, and what is known of others."""
+    if "systematic" in piece:
+        return float(np.hypot(piece["standard_error"], piece["systematic"]).max())
     return float(piece["error_estimate" if "error_estimate" in piece else "standard_error"].max())
 
 

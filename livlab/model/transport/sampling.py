@@ -92,6 +92,8 @@ class Walks:
     ----------
     samples, unfinished
         (W,) photons walked, and given up.
+    unfinished_share
+        (W,) light at most that those given up still held.
     specular
         (W,) reflection of the first surface.
     launches, seconds, compile_seconds
@@ -117,6 +119,7 @@ class Walks:
         self._squares: dict[str, FloatArray] = {name: np.zeros(shape) for name, shape in shapes.items()}
         self.specular = np.zeros(w)
         self.unfinished = np.zeros(w, dtype=np.int64)
+        self.unfinished_share = np.zeros(w)
         self.launches, self.seconds, self.compile_seconds = 0, 0.0, 0.0
         self.trace: list[Point] = []
 
@@ -138,6 +141,29 @@ class Walks:
         """(W,) its error as sampling takes it: no light seen is no proof of none, one photon more could have come."""
         least = float(self.view.weights.max()) / np.maximum(self.samples, 1)
         return np.asarray(np.maximum(self.standard_error("value"), least))
+
+    def systematic(self, name: str) -> FloatArray:
+        """Bound of what "value" or a part of the budget lacks because photons were given up: all that it could get."""
+        share = self.unfinished_share
+        if name == "value":
+            return np.asarray(float(np.abs(self.view.weights).max()) * share)
+        if name == "absorbed":
+            return np.asarray(share[:, None] * np.stack([x.absorption > 0 for x in self.stack.layers], axis=1))
+        shut = {
+            "transmittance": math.isinf(self.stack.layers[-1].thickness_mm),
+            "lost": self.view.half_width_mm is None,
+            "redirect_loss": all(i.redirect == "none" for x in self.stack.layers for i in x.interactions),
+        }
+        return np.zeros_like(share) if shut.get(name, False) else share.copy()
+
+    def notes(self) -> list[str]:
+        """What was given up, in words."""
+        if not self.unfinished.any():
+            return []
+        return [
+            f"{int(self.unfinished.sum())} photons were given up before they ended, with up to "
+            f"{self.unfinished_share.max():.1g} of the light: it counts as systematic error"
+        ]
 
     def go(self, on_launch: Callable[[Walks], None] | None = None) -> None:
         """Launch until the rule is met; what `on_launch` raises stops it."""
@@ -228,7 +254,9 @@ class Walks:
         self._add_value(active, samples, part)
         self.specular[active] = part["specular"].to_numpy()
         self.unfinished[active] += part["unfinished"].to_numpy()
+        held = self.unfinished_share[active] * self.samples[active] + part["unfinished_share"].to_numpy() * samples
         self.samples[active] += samples
+        self.unfinished_share[active] = held / self.samples[active]
         self.launches += 1
         self.seconds += self._clock() - started
         self.compile_seconds += float(part.attrs["compile_seconds"])
@@ -244,6 +272,9 @@ class Walks:
         self.samples = earlier["samples"].to_numpy().astype(np.int64)
         self.specular = earlier["specular"].to_numpy().copy()
         self.unfinished = earlier["unfinished"].to_numpy().astype(np.int64)
+        # An older result knows only how many; each of them held at most its whole light.
+        share = earlier["unfinished_share"] if "unfinished_share" in earlier else earlier["unfinished"] / self.samples
+        self.unfinished_share = np.asarray(share.to_numpy(), dtype=np.float64).copy()
         for name in BUDGET:
             self._restore(name, *_pair(earlier, name))
         scattered = earlier["value"].to_numpy() - self.view.specular_weight * self.specular

@@ -39,7 +39,8 @@ class Recorded:
     value, standard_error
         The reading, and the error of sampling it.
     systematic
-        What the interpolation between the anchors may be off, as found half-way between them.
+        What the interpolation between the anchors may be off, as found half-way between them, and what the light of
+        photons that were given up could have added.
     valid
         Whether the record can answer.
     ratio
@@ -48,6 +49,8 @@ class Recorded:
         Photons of all anchors.
     seconds, compile_seconds
         Time of recording and answering, compiling apart; and of compiling.
+    given_up
+        Largest share of the light, over the wavelengths, that the photons given up held.
     """
 
     value: FloatArray
@@ -58,6 +61,14 @@ class Recorded:
     samples: int
     seconds: float
     compile_seconds: float
+    given_up: float = 0.0
+
+    @property
+    def notes(self) -> list[str]:
+        """What was given up, in words."""
+        if not self.given_up:
+            return []
+        return [f"ledger: photons with {self.given_up:.1g} of the light were given up: it counts as systematic error"]
 
     @property
     def error(self) -> FloatArray:
@@ -116,16 +127,19 @@ def recorded(
         seen, random = weight * total, weight * total_error
     bias = float(found.attrs["interpolation_bias"])
     share = seen / np.maximum(total, 1e-300)
+    # Few rows, so that what their own scatter says of them is taken on top.
+    held = found["residual"].to_numpy() + found["residual_se"].to_numpy()
     compiling = float(found.attrs["compile_seconds"])
     return Recorded(
         seen + view.specular_weight * found["specular"].to_numpy(),
         random,
-        (0.0 if math.isnan(bias) else bias) * share,
+        (0.0 if math.isnan(bias) else bias) * share + float(np.abs(view.weights).max()) * held,
         np.asarray(found["valid"].to_numpy(), dtype=bool),
         float(random.max() / max(float(total_error.max()), 1e-300)),
         made.photons,
         max(clock() - started - compiling, 1e-9),
         compiling,
+        float(held.max()),
     )
 
 

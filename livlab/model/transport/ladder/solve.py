@@ -48,7 +48,8 @@ class Estimate:
         Its random error; 0 for a deterministic solver.
     systematic
         Bound of its other errors: adding–doubling's own estimate, what two fluxes and diffusion are off within
-        their domain; NaN outside the domain, where nobody knows.
+        their domain, what the light of photons that a walk or a ledger gave up could have added, what a ledger's
+        interpolation is off; NaN outside the domain, where nobody knows.
     seconds, samples
         What it took, by the clock, and samples over all wavelengths (0 for a deterministic solver).
     valid
@@ -188,8 +189,10 @@ def solve(
             at = listed(stack.wavelength_nm[~kept.valid])
             notes.append(f"ledger: reweighting leaves too few samples at {at} nm; use 'walk expected'")
         valid = valid & kept.valid
+        notes += kept.notes
     else:
         value, random, systematic, samples = _run(stack, view, picked)
+        notes += picked.walks.notes() if picked.walks is not None else []
     systematic = np.where(valid, systematic, np.nan)
     target = accuracy.target(value)
     short = np.zeros(len(value), dtype=bool) if target is None else np.hypot(random, systematic) > target * (1 + 1e-9)
@@ -217,7 +220,8 @@ def _run(stack: OpticalStack, view: Readout, picked: Picked) -> tuple[FloatArray
     zero = np.zeros(len(stack.wavelength_nm))
     if picked.walks is not None:
         picked.walks.go()
-        return picked.walks.value(), picked.walks.error(), zero, int(picked.walks.samples.sum())
+        walks = picked.walks
+        return walks.value(), walks.error(), walks.systematic("value"), int(walks.samples.sum())
     if picked.solver == "kubelka-munk":
         value = kubelka_munk_value(stack, view)
         return value, zero, KUBELKA_MUNK_BOUND * value, 0
@@ -226,5 +230,6 @@ def _run(stack: OpticalStack, view: Readout, picked: Picked) -> tuple[FloatArray
         return value, zero, (DIFFUSION_RING_BOUND if view.tally.radius_edges else DIFFUSION_BOUND) * value, 0
     from livlab.model.transport.adding_doubling import adding_doubling
 
-    solved = adding_doubling(stack, mu0=math.cos(view.source.angle_rad), tolerance=picked.tolerance or 1e-6)
-    return view.of_endless(solved), zero, float(view.weights.max()) * solved["error_estimate"].to_numpy(), 0
+    mu0, tolerance = math.cos(view.source.angle_rad), picked.tolerance or 1e-6
+    solved = adding_doubling(stack, mu0=mu0, tolerance=tolerance, mu_min=view.mu_min)
+    return view.of_endless(solved), zero, view.error_of_endless(solved), 0

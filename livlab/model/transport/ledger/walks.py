@@ -41,7 +41,7 @@ PILOT = 8192
 MOST_PHOTONS = 1 << 25
 """Photons of all anchors at which recording stops, whatever was asked: about 2 GB of rows."""
 
-MAX_STEPS = 100_000
+MAX_STEPS = 1 << 24
 _JUDGED = 32
 _PLENTY = 4.0  # times the least effective sample size
 RESERVE = 0.1

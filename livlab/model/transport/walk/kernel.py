@@ -16,7 +16,7 @@ import numpy as np
 
 from livlab.model.transport import rng as random
 from livlab.model.transport.fresnel import fresnel, refracted_cosine
-from livlab.model.transport.walk import events
+from livlab.model.transport.walk import events, roulette
 from livlab.model.transport.walk.columns import Columns, Settings
 from livlab.model.transport.walk.observers import End, Observer, Step
 from livlab.model.transport.walk.states import CollisionResult, CollisionTarget, FlightStep, InterfaceResult, Photon
@@ -93,7 +93,7 @@ class _Walk:
         u = random.uniform(d, polar_bits)
         hit = self._collided(stream, p, inside, flight, u, azimuth_bits)
         face = self._interface(p, inside, flight, u)
-        step, end = self._told(p, inside, flight, hit, face, entered)
+        step, end = self._told(p, inside, flight, hit, face, entered, polar_bits)
         states = tuple(o.end(d, o.step(d, s, step), end) for o, s in zip(self.observers, states, strict=True))
         moved = self._moved(p, inside, flight, hit, face, end)
 
@@ -149,6 +149,7 @@ class _Walk:
         hit: CollisionResult,
         face: InterfaceResult,
         entered: Any,
+        bits: Any,
     ) -> tuple[Step, End]:
         """What the observers hear of the step, and of the photons that end with it."""
         d, dr = self.d, self.dr
@@ -162,16 +163,20 @@ class _Walk:
         stopped = unfinished
         if self.redirects:
             stopped = stopped | (met & ~ended & (dr.abs(weight) < NEGLIGIBLE))
+        culled, weight, balance = roulette.play(dr, p.steps, bits, weight, ~ended & ~stopped)
+        balance = dr.select(stopped, weight, balance)
         taken = dr.select(met, hit.loss, 0.0) if self.redirects else None
         step = Step(inside, flight.path, met, dr.select(met, hit.absorbed, 0.0), taken)
         bend = 1.0 if face.eta is None else dr.select(face.cross, face.eta, 1.0)
         end = End(
-            done=ended | stopped,
+            done=ended | stopped | culled,
             up=out_up,
             down=out_down,
             side=d.Bool(False) if side is None else side,
             stopped=stopped,
             unfinished=unfinished,
+            culled=culled,
+            balance=balance,
             weight=weight,
             entered=entered if self.random_entry else None,
             cosine=face.cosine,

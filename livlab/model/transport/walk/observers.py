@@ -47,13 +47,17 @@ class End:
     Attributes
     ----------
     done
-        Any of the following, or absorbed.
+        Whether it left, was given up, culled or absorbed.
     up, down, side
         Left through the top, the bottom, a side of the sample.
     stopped
         Given up: too many steps, or a weight too small to count.
     unfinished
         The first of these.
+    culled
+        Ended by roulette, after very many steps.
+    balance
+        Weight of those stopped or culled, less what roulette gave the photons it left alive; 0 for all others.
     weight
         What it leaves with.
     entered
@@ -74,6 +78,8 @@ class End:
     side: Any
     stopped: Any
     unfinished: Any
+    culled: Any
+    balance: Any
     weight: Any
     entered: Any
     cosine: Any
@@ -163,9 +169,10 @@ class Totals:
         """Close the photon's account."""
         sums, loss, count = state
         sums = dict(sums)
-        parts = [("reflectance", end.up), ("transmittance", end.down), ("residual", end.stopped)]
+        parts = [("reflectance", end.up), ("transmittance", end.down)]
         for name, where in parts + [("lost", end.side)] * self.sides:
             sums[name] = Register.add(d, sums[name], where, end.weight)
+        sums["residual"] = Register.add(d, sums["residual"], d.Bool(True), end.balance)
         if self.random_entry:
             sums["specular"] = Register.add(d, sums["specular"], end.done, 1.0 - end.entered)
         if self.redirects:

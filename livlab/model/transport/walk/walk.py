@@ -27,6 +27,7 @@ from livlab.model.transport.walk.bins import Bins, Directions
 from livlab.model.transport.walk.columns import Columns, Settings
 from livlab.model.transport.walk.kernel import trace
 from livlab.model.transport.walk.observers import Absorbed, Observer, Totals
+from livlab.model.transport.walk.roulette import heaviest
 from livlab.model.transport.walk.tables import Estimator, Tables, tables
 
 __all__ = ["Source", "Tally", "merge", "walk"]
@@ -37,7 +38,9 @@ CAPTURE_WEIGHT = 0.5
 That is Russian roulette whose survival probability is the albedo itself: unbiased, and unlike the usual
 kind it moves no energy from photon to photon, so that every photon's account closes."""
 
-MAX_STEPS = 100_000
+MAX_STEPS = 1 << 24
+"""Steps after which a photon is given up: long after roulette has begun to end walks without bias."""
+
 _LANE_SHARE = 48
 _VECTOR = 16
 
@@ -60,7 +63,7 @@ _MEANING = {
     "absorbed": "light absorbed in each layer",
     "lost": "light that leaves through the sides",
     "redirect_loss": "light that the redirect factor of Algorithm 2 removes without absorbing it",
-    "residual": "light of photons given up before they ended",
+    "residual": "light of photons given up before they ended, and what roulette took less what it gave",
     "reflectance_binned": "reflectance in each bin of exit angle and radius",
     "transmittance_binned": "transmittance in each bin of exit angle and radius",
     "reflectance_directed": "reflectance in each bin of exit angle and azimuth",
@@ -108,7 +111,8 @@ def walk(
     progress
         Called after each batch with the fraction done; it may raise to stop.
     max_steps
-        Collisions and interfaces after which a photon is given up (counted in `unfinished` and `residual`).
+        Collisions and interfaces after which a photon is given up (counted in `unfinished` and `residual`). From
+        `roulette.FROM` = 131 072 steps on a photon goes on by chance, with more weight: without bias.
     batch_photons
         Photons in one launch over all wavelengths, the grain of progress; default: what suits the variant.
 
@@ -201,6 +205,8 @@ def merge(results: Sequence[xr.Dataset]) -> xr.Dataset:
     merged["unfinished"].data[...] = sum(r["unfinished"].to_numpy() for r in results)
     for name in ("samples", "seconds", "compile_seconds"):
         merged.attrs[name] = sum(r.attrs[name] for r in results)
+    shares = sum(r["unfinished_share"].to_numpy() * r.attrs["samples"] for r in results)
+    merged["unfinished_share"].data[...] = shares / merged.attrs["samples"]
     merged.attrs["seed"] = seeds if len(seeds) > 1 else seeds[0]
     return merged
 
@@ -285,7 +291,10 @@ def _dataset(
         out[name] = (dims, total[name].mean, about)
         out[f"{name}_se"] = (dims, total[name].standard_error, {"units": "1", "long_name": f"standard error of {name}"})
     about = {"units": "1", "long_name": "photons given up before they ended"}
-    out["unfinished"] = ("wavelength", np.rint(total["unfinished"].total).astype(np.int64), about)
+    count = np.rint(total["unfinished"].total).astype(np.int64)
+    out["unfinished"] = ("wavelength", count, about)
+    share = count * heaviest(attributes["max_steps"]) / attributes["samples"]
+    out["unfinished_share"] = ("wavelength", share, {"units": "1", "long_name": "light they held at most"})
     out.attrs = attributes
     return out
 

@@ -62,6 +62,7 @@ def coins(monkeypatch):
             for end, values in zip(("", "_se"), spread, strict=True):
                 data[f"reflectance_binned{end}"] = (("wavelength", "theta_o", "radius"), values)
         data["unfinished"] = ("wavelength", np.zeros(len(p), dtype=np.int64))
+        data["unfinished_share"] = ("wavelength", zero)
         return xr.Dataset(data, attrs={"compile_seconds": 0.0})
 
     monkeypatch.setattr("livlab.model.transport.walk.walk.walk", walk)

@@ -61,6 +61,7 @@ class Lab:
         data = {"reflectance": up, "transmittance": 1 - up}
         data |= dict.fromkeys(("lost", "redirect_loss", "residual"), 0 * up)
         out = {"specular": ("wavelength", 0 * up), "unfinished": ("wavelength", np.zeros(len(p), dtype=int))}
+        out["unfinished_share"] = ("wavelength", 0 * up)
         for name, mean in data.items():
             out[name] = ("wavelength", mean)
             out[f"{name}_se"] = ("wavelength", np.sqrt(mean * (1 - mean) / (samples - 1)))
