@@ -71,9 +71,11 @@ def test_stated_errors_hold_the_true_ones(seed, near):
 def test_stated_errors_of_many_stacks(seed, near):
     found = shortfalls(seed, count=120, near=near, nodes=112)
     hold(found)
-    # Not absurdly large either: what is stated is the error of the coarser count, some hundred times the own.
+    # Not absurdly large either: what is stated is the error of the coarser count, some hundred times the own (more
+    # next to near indices, where convergence is faster still).
+    cautious = 500 if near else 300
     for name, ratio in found.items():
-        assert np.median(ratio) < (1000 if name in ANGULAR else 300), (name, np.median(ratio))
+        assert np.median(ratio) < (1000 if name in ANGULAR else cautious), (name, np.median(ratio))
 
 
 def test_a_narrow_cone_has_its_own_error():

@@ -10,7 +10,7 @@ import xarray as xr
 
 from livlab.errors import InputError
 from livlab.model.tissue.stack import OpticalStack
-from livlab.model.transport.quadrature import AngularGrid, Interval, gauss_legendre, lagrange
+from livlab.model.transport.quadrature import AngularGrid, SineInterval, gauss_legendre, lagrange
 from livlab.units import FloatArray
 
 ANGLES = 64
@@ -89,7 +89,7 @@ def exit_flux(result: xr.Dataset, mu_o: FloatArray) -> xr.DataArray:
     low = 0.0
     for k, high in enumerate(float(b) for b in breaks):
         inside = (sine >= low) & (sine <= high)
-        basis = lagrange(ANGLES, Interval(low, high).place(sine[inside]))
+        basis = lagrange(ANGLES, SineInterval(low, high).place(sine[inside]))
         values[:, inside] = known[:, k * ANGLES : (k + 1) * ANGLES] @ basis.T
         low = high
     return xr.DataArray(
@@ -135,7 +135,7 @@ def cone_fraction(result: xr.Dataset, mu_min: float) -> xr.DataArray:
         if edge <= low:
             break
         # In the panel's own variable, where the flux is a polynomial.
-        panel = Interval(low, high)
+        panel = SineInterval(low, high)
         end = float(panel.place(np.array(min(edge, high))))
         place = end * t
         mu = panel.cosines(top, place)

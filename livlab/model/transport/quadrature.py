@@ -70,7 +70,7 @@ def lagrange(count: int, at: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Interval:
+class SineInterval:
     """One interval of the sine, (low, high), and its variable t on (0, 1).
 
     Attributes
@@ -134,7 +134,7 @@ class AngularGrid:
     beam
         Index of the medium that the beam comes from and its cosine there; its node has no weight.
     soft
-        ε of each interval (`Interval`); none: 0 for all.
+        ε of each interval (`SineInterval`); none: 0 for all.
     """
 
     breaks: tuple[float, ...]
@@ -160,7 +160,7 @@ class AngularGrid:
                 # Little light goes there, which may be less exact by as much.
                 count = math.ceil(count + math.log(share / _LITTLE) / _DECAY)
             if soft[-1]:
-                count = math.ceil(count * (1.0 + _SOFT_NODES * Interval(low, high, soft[-1]).reach))
+                count = math.ceil(count * (1.0 + _SOFT_NODES * SineInterval(low, high, soft[-1]).reach))
             counts.append(max(4, count))
             low = high
         return cls(tuple(breaks), tuple(counts), beam, tuple(soft))
@@ -171,11 +171,11 @@ class AngularGrid:
         return 1 + sum(self.counts)
 
     @property
-    def intervals(self) -> list[tuple[Interval, int]]:
+    def intervals(self) -> list[tuple[SineInterval, int]]:
         """The intervals, ascending, and how many nodes each has."""
         lows = (0.0, *self.breaks[:-1])
         soft = self.soft or (0.0,) * len(self.breaks)
-        made = [Interval(*x) for x in zip(lows, self.breaks, soft, strict=True)]
+        made = [SineInterval(*x) for x in zip(lows, self.breaks, soft, strict=True)]
         return list(zip(made, self.counts, strict=True))
 
     def snap(self, n: float) -> float:

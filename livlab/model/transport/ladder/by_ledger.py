@@ -131,15 +131,15 @@ def recorded(
     held = found["residual"].to_numpy() + found["residual_se"].to_numpy()
     compiling = float(found.attrs["compile_seconds"])
     return Recorded(
-        seen + view.specular_weight * found["specular"].to_numpy(),
-        random,
-        (0.0 if math.isnan(bias) else bias) * share + float(np.abs(view.weights).max()) * held,
-        np.asarray(found["valid"].to_numpy(), dtype=bool),
-        float(random.max() / max(float(total_error.max()), 1e-300)),
-        made.photons,
-        max(clock() - started - compiling, 1e-9),
-        compiling,
-        float(held.max()),
+        value=seen + view.specular_weight * found["specular"].to_numpy(),
+        standard_error=random,
+        systematic=(0.0 if math.isnan(bias) else bias) * share + float(np.abs(view.weights).max()) * held,
+        valid=np.asarray(found["valid"].to_numpy(), dtype=bool),
+        ratio=float(random.max() / max(float(total_error.max()), 1e-300)),
+        samples=made.photons,
+        seconds=max(clock() - started - compiling, 1e-9),
+        compile_seconds=compiling,
+        given_up=float(held.max()),
     )
 
 

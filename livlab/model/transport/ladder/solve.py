@@ -178,8 +178,7 @@ def solve(
         raise where.refusal()
     if picked.solver == "adding-doubling" and picked.tolerance is None:
         picked = replace(picked, tolerance=tolerance_of(stack, view, accuracy))
-    if where.reasons:
-        notes += [f"{picked.solver}: {reason}" for reason in where.reasons]
+    notes += [f"{picked.solver}: {reason}" for reason in where.reasons]
     valid = where.valid
     if picked.solver == "ledger":
         seed = sampling.seed if sampling is not None else 1
