@@ -6,6 +6,7 @@ them if `errors` is set, or linear sRGB.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -178,8 +179,10 @@ def picture(scene: Any, settings: dict[str, Any], *, sensor: int, seed: int, spp
         scene, grid, body=body, spp=spp, seed=seed, estimator=settings["estimator"], sensor=sensor, variant=variant
     )
     if settings["channels"] == "rgb":
-        from livlab.model.colour import cie_rgb
+        from livlab.model.colour import cie_rgb, colour_error
 
+        if told := colour_error(found["radiance"].mean(["row", "column"])).attrs["told"]:
+            warnings.warn(f"{NAME}, mean colour: {told}", UserWarning, stacklevel=2)
         return np.asarray(cie_rgb(found["radiance"]).to_numpy())
     parts = [found["radiance"].to_numpy()]
     if settings["errors"]:

@@ -86,7 +86,8 @@ def render(
     spp
         Samples a pixel, each of which serves all wavelengths. Default 16, or as many as `accuracy` needs.
     seed
-        Natural number; the same seed gives the same picture to the last bit on one machine.
+        Natural number; in one process the same seed gives the same picture to the last bit. So it did in every process
+        on one machine that was tried but for one case, whose cause is not known: see docs/tracer.md.
     accuracy
         Stop when the median over the body's pixels and all wavelengths of the standard error meets it, relative to
         the radiance or as it is; or when the time is up. `spp` then is the most.

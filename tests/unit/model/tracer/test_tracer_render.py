@@ -197,3 +197,24 @@ def test_a_state_of_another_picture_is_refused(scene: dict[str, Any]) -> None:
     body = Body(joined([STACK, STACK], grid), "ball")
     with pytest.raises(InputError, match="together"):
         render(scene, grid, body=body, spp=4, together=False, resume=states[0])
+
+
+def test_a_scene_loaded_anew_gives_the_same_bits_from_the_centre_of_its_body() -> None:
+    from livlab.model.shapes import distance_field, sphere
+
+    mi, ball = mitsuba("llvm_ad_spectral"), sphere(5.0, resolution_mm=4.0)
+    fields = (None, distance_field(ball, 0.4))
+    for field in fields:
+        made = []
+        for _ in range(3):
+            scene = {
+                "type": "scene",
+                "sensor": stage.sensor(mi, [0, 0, 0], [0, 0, 1], [0, 1, 0], 1.2, 16, 16),
+                "ball": stage.surface(mi, ball),
+                "light": stage.surrounding_light(mi, 1.0),
+                "lamp": stage.rectangle_light(mi, [10, 3, 3], [0, 0, 0], [4, 4], 6.0),
+            }
+            made.append(render(scene, GRID, body=Body(STACK, "ball", field), spp=32, seed=3))
+        for other in made[1:]:
+            np.testing.assert_array_equal(other["radiance"], made[0]["radiance"])
+            np.testing.assert_array_equal(other["systematic"], made[0]["systematic"])
