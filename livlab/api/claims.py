@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from livlab.core import markup
-from livlab.criteria import COLUMNS, Claim, format_value, format_with_error
+from livlab.criteria import COLUMNS, GROUPS, VERDICTS, Claim, format_with_error, group_title
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from livlab.criteria import Group
 
 
 class Claims(tuple[Claim, ...]):
@@ -22,6 +24,43 @@ class Claims(tuple[Claim, ...]):
     """
 
     __slots__ = ()
+
+    @property
+    def passed(self) -> Claims:
+        """Those that PASS."""
+        return self._those("PASS")
+
+    @property
+    def failed(self) -> Claims:
+        """Those that FAIL."""
+        return self._those("FAIL")
+
+    @property
+    def too_close(self) -> Claims:
+        """Those that are TOO CLOSE to a limit; `needs` of each says how many times the samples would settle it."""
+        return self._those("TOO CLOSE")
+
+    @property
+    def missing(self) -> Claims:
+        """Those that are MISSING."""
+        return self._those("MISSING")
+
+    def group(self, name: Group) -> Claims:
+        """Those of a group: "reproduces" (the thesis), "agrees" (with a measurement) or "checks" (livlab's own).
+
+        Raises
+        ------
+        InputError
+            There is no such group.
+        """
+        from livlab.errors import InputError
+
+        if name not in GROUPS:
+            raise InputError.of("group", name, "is none", f"There are {', '.join(GROUPS)}.")
+        return Claims(claim for claim in self if claim.group == name)
+
+    def _those(self, verdict: str) -> Claims:
+        return Claims(claim for claim in self if claim.verdict == verdict)
 
     def of(self, criterion: str) -> Claim:
         """The claim of that name.
@@ -42,23 +81,20 @@ class Claims(tuple[Claim, ...]):
         return self[names.index(criterion)]
 
     def __repr__(self) -> str:
-        counts = {v: sum(c.verdict == v for c in self) for v in ("PASS", "FAIL", "MISSING")}
+        counts = {v: sum(c.verdict == v for c in self) for v in VERDICTS}
         shown = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
         return f"<{len(self)} claim{'' if len(self) == 1 else 's'}{': ' if shown else ''}{shown}>"
 
     def _repr_html_(self) -> str:
-        rows = [
-            (
-                c.criterion,
-                format_with_error(c.value, c.standard_error),
-                "–" if c.reference is None else f"{format_value(c.reference)} ± {format_value(c.tolerance)}",
-                c.verdict,
-            )
-            for c in self
-        ]
+        columns, parts = ["criterion", "value", "wanted", ""], []
+        tissue = "liver" if any("liver" in c.criterion for c in self) else "tissue"
+        for name in GROUPS:
+            own = self.group(name)
+            if own:
+                rows = [(c.criterion, format_with_error(c.value, c.standard_error), c.wanted, c.verdict) for c in own]
+                parts.append(markup.card(group_title(name, tissue), repr(own)[1:-1], markup.table(columns, rows)))
         said = [f"{c.criterion}: {c.note}" for c in self if c.note]
-        columns = ["criterion", "value", "wanted", ""]
-        return markup.card("Claims", repr(self)[1:-1], markup.table(columns, rows), markup.notes(said))
+        return markup.card("Claims", repr(self)[1:-1], *parts, markup.notes(said))
 
     def to_pandas(self) -> pd.DataFrame:
         """Index criterion; the columns of claims.csv, and note."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -19,7 +20,7 @@ from livlab.errors import ConfigError, Interrupted
 if TYPE_CHECKING:
     from livlab.kinds.execute import Outcome
 
-_COLOURS = {"PASS": "green", "FAIL": "bold red", "MISSING": "yellow"}
+_COLOURS = {"PASS": "green", "FAIL": "bold red", "TOO CLOSE": "bold blue", "MISSING": "yellow"}
 
 
 def register(app: typer.Typer) -> None:
@@ -122,7 +123,7 @@ def _show(outcome: Outcome, *, quiet: bool) -> None:
     if not quiet:
         console = Console()
         if outcome.claims:
-            _print_claims(console, outcome.claims)
+            _print_groups(console, outcome)
             _say_why(console, outcome)
         _say_misfit(console, outcome)
         _print_spread(console, outcome.folder)
@@ -149,11 +150,29 @@ def _print_spread(console: Console, folder: Path) -> None:
         console.print(told, highlight=False, markup=False, soft_wrap=True)
 
 
-def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:
+def _print_groups(console: Console, outcome: Outcome) -> None:
+    """The claims by group, each under its heading with the number of each verdict."""
+    from livlab.core.toml_text import parse_toml
+    from livlab.criteria import GROUPS, group_title
+    from livlab.criteria.table import completed
+    from livlab.reports.folder import measured_tissue
+    from livlab.reports.tables import verdict_counts
+
+    claims = completed(outcome.claims)
+    tissue = measured_tissue(parse_toml((outcome.folder / "config.toml").read_text(encoding="utf-8")))
+    for group in GROUPS:
+        own = [c for c in claims if c["group"] == group]
+        if own:
+            told = ", ".join(f"{n} {verdict}" for verdict, n in verdict_counts(own))
+            console.print(Text(f"{group_title(group, tissue)}: {told}", style="bold"), soft_wrap=True)
+            _print_claims(console, own)
+
+
+def _print_claims(console: Console, claims: list[dict[str, Any]]) -> None:
     """The claims as a table, or as two lines each where the terminal is too narrow for one."""
     rows = [_cells(claim) for claim in claims]
     table = Table(title=None, header_style="bold")
-    for column, justify in (("criterion", "left"), ("value ± error", "right"), ("reference", "right"), ("", "left")):
+    for column, justify in (("criterion", "left"), ("value ± error", "right"), ("wanted", "right"), ("", "left")):
         table.add_column(column, justify="right" if justify == "right" else "left", overflow="fold", no_wrap=True)
     for criterion, shown, wanted, verdict in rows:
         table.add_row(*map(escape, (criterion, shown, wanted)), Text(verdict, style=_COLOURS.get(verdict, "")))
@@ -169,14 +188,16 @@ def _print_claims(console: Console, claims: list[dict[str, str]]) -> None:
 
 
 def _say_why(console: Console, outcome: Outcome) -> None:
-    """Why claims are MISSING, each reason once."""
+    """Why claims are MISSING, each reason once; and what would settle each that is TOO CLOSE."""
     from livlab.runs.identity import read_manifest
 
-    missing = {claim["criterion"] for claim in outcome.claims if claim["verdict"] == "MISSING"}
     notes = read_manifest(outcome.folder).get("claim_notes")
-    reasons = [str(why) for criterion, why in notes.items() if criterion in missing] if isinstance(notes, dict) else []
-    for why in dict.fromkeys(reasons):
-        console.print(f"MISSING: {why}", highlight=False, markup=False, soft_wrap=True)
+    known = notes if isinstance(notes, dict) else {}
+    named = {v: [c["criterion"] for c in outcome.claims if c["verdict"] == v] for v in ("TOO CLOSE", "MISSING")}
+    said = [f"TOO CLOSE: {name}: {known[name]}" for name in named["TOO CLOSE"] if name in known]
+    said += dict.fromkeys(f"MISSING: {known[name]}" for name in named["MISSING"] if name in known)
+    for line in said:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _say_misfit(console: Console, outcome: Outcome) -> None:
@@ -189,12 +210,12 @@ def _say_misfit(console: Console, outcome: Outcome) -> None:
         console.print(Text(str(found["words"]), style=style), highlight=False, soft_wrap=True)
 
 
-def _cells(claim: dict[str, str]) -> tuple[str, str, str, str]:
+def _cells(claim: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Criterion, value with its error, what is wanted, verdict."""
     from livlab.criteria import format_value
+    from livlab.criteria.limits import in_words
 
-    value = float(claim["value"]) if claim["value"] else None
-    error = float(claim["standard_error"]) if claim["standard_error"] else None
+    names = ("value", "standard_error", "at_least", "at_most", "reference", "tolerance")
+    value, error, *limits = (float(x) if (x := claim[k]) not in ("", None) else None for k in names)
     shown = format_value(value, error) + (f" ± {format_value(error, error)}" if error else "")
-    wanted = f"{claim['reference']} ± {claim['tolerance']}" if claim["reference"] else "–"
-    return claim["criterion"], shown, wanted, claim["verdict"]
+    return claim["criterion"], shown, in_words(*limits), claim["verdict"]

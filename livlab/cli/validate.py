@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from rich.console import Console
@@ -14,10 +14,19 @@ from rich.table import Table
 from livlab.errors import ConfigError, Interrupted
 
 if TYPE_CHECKING:
+    from livlab.criteria import FamilyError
     from livlab.dossier.baseline import Baseline, Change
     from livlab.dossier.validate import Ended, Planned
 
 RECORD = "validation.json"
+
+
+class Changes(NamedTuple):
+    """What is not as the baseline has it."""
+
+    lost: list[Change]
+    undecided: list[Change]
+    gained: list[Change]
 
 
 def register(app: typer.Typer) -> None:
@@ -50,8 +59,9 @@ def validate(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the site's path, and what fails.")] = False,
 ) -> None:
     """Run or reuse every experiment and build the dossier: every claim, and the thesis's figures beside ours."""
-    from livlab.dossier.baseline import compare, load_baseline, told, updated, write_baseline
+    from livlab.dossier.baseline import compare, load_baseline, told, undecided, updated, write_baseline
     from livlab.dossier.config import builtin_dossier, load_dossier
+    from livlab.dossier.sure import claims_of, family_of, family_record
     from livlab.dossier.validate import planned, record
 
     file = dossier or builtin_dossier()
@@ -76,9 +86,14 @@ def validate(
         write_baseline(held_file, updated(held, ended, config.unrecorded, chosen, taken))
         held = load_baseline(held_file)
     lost, gained = compare(held, ended, config.unrecorded, chosen)
-    page = _site(record(config, experiments, ended, told(held, lost, gained), out), out)
+    open_now = undecided(held, ended, config.unrecorded, chosen)
+    claims = claims_of(ended)
+    family = family_of(claims)
+    data = record(config, experiments, ended, told(held, lost, gained, open_now), out, family=family_record(family))
+    page = _site(data, out)
     _show(experiments, ended, quiet=quiet)
-    _changes(held, lost, gained, quiet=quiet)
+    _sure(family, quiet=quiet)
+    _changes(held, Changes(lost, open_now, gained), quiet=quiet)
     typer.echo(page)
     if check and lost:
         raise typer.Exit(1)
@@ -138,7 +153,7 @@ def _show(experiments: list[Planned], ended: dict[str, Ended], *, quiet: bool) -
     console = Console(width=None if Console().is_terminal else 160)
     if not quiet:
         table = Table(header_style="bold", box=None, pad_edge=False)
-        for name in ("experiment", "", "PASS", "FAIL", "MISSING", "seconds"):
+        for name in ("experiment", "", "PASS", "FAIL", "TOO CLOSE", "MISSING", "seconds"):
             table.add_column(name, justify="left" if name in ("experiment", "") else "right")
         for one in experiments:
             e = ended[one.name]
@@ -147,7 +162,7 @@ def _show(experiments: list[Planned], ended: dict[str, Ended], *, quiet: bool) -
             table.add_row(
                 one.name,
                 state,
-                *(str(counts[v] or "") for v in ("PASS", "FAIL")),
+                *(str(counts[v] or "") for v in ("PASS", "FAIL", "TOO CLOSE")),
                 str(counts["MISSING"] or "") if e.state == "complete" else "all",
                 "" if e.cached else f"{e.seconds:.0f}",
             )
@@ -155,7 +170,9 @@ def _show(experiments: list[Planned], ended: dict[str, Ended], *, quiet: bool) -
         total = Counter(verdict for claims in found.values() for verdict, _ in claims.values())
         seconds = sum(e.seconds for e in ended.values())
         console.print(
-            f"{total['PASS']} PASS, {total['FAIL']} FAIL, {total['MISSING']} MISSING; {seconds:.0f} s.", highlight=False
+            f"{total['PASS']} PASS, {total['FAIL']} FAIL, {total['MISSING']} MISSING, {total['TOO CLOSE']} TOO CLOSE; "
+            f"{seconds:.0f} s.",
+            highlight=False,
         )
     for one in experiments:
         e = ended[one.name]
@@ -163,7 +180,21 @@ def _show(experiments: list[Planned], ended: dict[str, Ended], *, quiet: bool) -
             console.print(f"MISSING {one.name}: {e.reason}", highlight=False, markup=False, soft_wrap=True)
 
 
-def _changes(held: Baseline, lost: list[Change], gained: list[Change], *, quiet: bool) -> None:
+def _sure(family: FamilyError, *, quiet: bool) -> None:
+    """How sure the verdicts are together."""
+    if quiet or not family.claims:
+        return
+    Console(soft_wrap=True).print(
+        f"{family.claims} claims are statistical. Were every truth at its limit, at least one verdict would be wrong "
+        f"with a chance of up to {100 * family.at_most:.0f} % (Šidák). Of {len(family.failed)} that FAIL, "
+        f"{len(family.doubtful)} could be a false alarm among so many (Holm).",
+        highlight=False,
+        markup=False,
+    )
+
+
+def _changes(held: Baseline, found: Changes, *, quiet: bool) -> None:
+    lost, gained = found.lost, found.gained
     console = Console(soft_wrap=True)
 
     def say(text: str) -> None:
@@ -171,13 +202,15 @@ def _changes(held: Baseline, lost: list[Change], gained: list[Change], *, quiet:
 
     for c in lost:
         say(f"HELD BEFORE, NOW {c.verdict}: {c.experiment}: {c.claim}" + (f" ({c.why})" if c.why else ""))
+    for c in found.undecided:
+        say(f"HELD BEFORE, NOW TOO CLOSE: {c.experiment}: {c.claim}" + (f" ({c.why})" if c.why else ""))
     if quiet:
         return
     if not held.file:
         say("There is no baseline yet; --update-baseline records which claims hold.")
         return
     if not lost:
-        say("Every claim of the baseline that was looked at holds.")
+        say("Every claim of the baseline that was looked at holds" + (", or is too close." if found.undecided else "."))
     for c in gained:
         say(f"HOLDS NOW, NOT IN THE BASELINE: {c.experiment}: {c.claim}")
     if gained:

@@ -8,7 +8,7 @@ from html import escape
 
 _LINE = "border-bottom:1px solid rgba(128,128,128,.35)"
 _SHORT = 28
-_VERDICTS = {"PASS": "#00805f", "FAIL": "#d23c00", "MISSING": "#a67c00"}
+_VERDICTS = {"PASS": "#00805f", "FAIL": "#d23c00", "TOO CLOSE": "#2a6fc4", "MISSING": "#a67c00"}
 
 
 def card(title: object, subtitle: object = "", *parts: str) -> str:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from livlab.core.files import write_whole
-from livlab.criteria import read_claims
 from livlab.dossier.config import Unrecorded
+from livlab.dossier.sure import claims_of
 from livlab.dossier.validate import Ended
-from livlab.errors import ConfigError, InputError
+from livlab.errors import ConfigError
 from livlab.machine.version import __version__
 
 SCHEMA = 1
@@ -66,15 +66,7 @@ def load_baseline(path: Path) -> Baseline:
 
 def verdicts(ended: Mapping[str, Ended]) -> dict[str, dict[str, tuple[str, str]]]:
     """Verdict and note of every claim, by experiment; an experiment that is not complete, or is damaged, has none."""
-    found: dict[str, dict[str, tuple[str, str]]] = {}
-    for name, e in ended.items():
-        claims = None if e.folder is None or e.state != "complete" else e.folder / "claims.csv"
-        try:
-            rows = read_claims(claims) if claims is not None and claims.is_file() else ()
-        except InputError:
-            rows = ()
-        found[name] = {c.criterion: (c.verdict, c.note) for c in rows}
-    return found
+    return {name: {c.criterion: (c.verdict, c.note) for c in own} for name, own in claims_of(ended).items()}
 
 
 def compare(
@@ -82,20 +74,12 @@ def compare(
 ) -> tuple[list[Change], list[Change]]:
     """Claims lost and claims gained against a baseline.
 
-    A claim is lost if it held and now fails, is missing, or is gone, be it that its experiment did not run. With
-    `only`, other experiments are not looked at.
+    A claim is lost if it held and now fails, is missing, or is gone, be it that its experiment did not run. One that
+    is too close now is neither: see `undecided`. With `only`, other experiments are not looked at.
     """
     now = verdicts(ended)
-    lost, gained = [], []
-    for name, claims in baseline.holds.items():
-        if only and name not in only:
-            continue
-        for claim in claims:
-            if is_unrecorded(claim, unrecorded):
-                continue
-            verdict, note = now.get(name, {}).get(claim, ("MISSING", _absent(ended.get(name))))
-            if verdict != "PASS":
-                lost.append(Change(name, claim, verdict, note))
+    lost = [c for c in _changed(baseline, ended, unrecorded, only) if c.verdict != "TOO CLOSE"]
+    gained = []
     for name, found in now.items():
         if only and name not in only:
             continue
@@ -106,6 +90,31 @@ def compare(
             if verdict == "PASS" and claim not in held and not is_unrecorded(claim, unrecorded)
         ]
     return lost, gained
+
+
+def undecided(
+    baseline: Baseline, ended: Mapping[str, Ended], unrecorded: Sequence[Unrecorded], only: Sequence[str] = ()
+) -> list[Change]:
+    """Claims that held, and lie too close to their limit now: nothing is lost, and nothing shown."""
+    return [c for c in _changed(baseline, ended, unrecorded, only) if c.verdict == "TOO CLOSE"]
+
+
+def _changed(
+    baseline: Baseline, ended: Mapping[str, Ended], unrecorded: Sequence[Unrecorded], only: Sequence[str]
+) -> list[Change]:
+    """Claims of the baseline that do not pass now."""
+    now = verdicts(ended)
+    found = []
+    for name, claims in baseline.holds.items():
+        if only and name not in only:
+            continue
+        for claim in claims:
+            if is_unrecorded(claim, unrecorded):
+                continue
+            verdict, note = now.get(name, {}).get(claim, ("MISSING", _absent(ended.get(name))))
+            if verdict != "PASS":
+                found.append(Change(name, claim, verdict, note))
+    return found
 
 
 def updated(
@@ -145,12 +154,15 @@ def write_baseline(path: Path, data: Mapping[str, Any]) -> None:
     write_whole(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
 
 
-def told(baseline: Baseline, lost: Sequence[Change], gained: Sequence[Change]) -> dict[str, Any]:
+def told(
+    baseline: Baseline, lost: Sequence[Change], gained: Sequence[Change], undecided: Sequence[Change] = ()
+) -> dict[str, Any]:
     """The comparison as the record keeps it."""
     return {
         "file": baseline.file,
         "holds": {name: list(claims) for name, claims in baseline.holds.items()},
         "lost": [asdict(c) for c in lost],
+        "undecided": [asdict(c) for c in undecided],
         "gained": [asdict(c) for c in gained],
     }
 

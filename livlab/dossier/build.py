@@ -12,6 +12,7 @@ from markupsafe import Markup
 from livlab.core.files import told_plainly, write_whole
 from livlab.dossier.pages import group_pages, index_page, thesis_page
 from livlab.dossier.site import Site, read_site
+from livlab.dossier.sure import claims_of_site, claims_table
 from livlab.reports.page import ICONS
 
 
@@ -44,6 +45,7 @@ def build_dossier(out: Path) -> Path:
         for stale in out.glob("*.html"):
             stale.unlink()
     _copy_reports(site)
+    write_whole(out / "claims.csv", claims_table(claims_of_site(site)))
     pages = [thesis_page(site), *group_pages(site)]
     pages = [index_page(site, pages), *pages]
     environment = Environment(

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from livlab.dossier.parts import claims_grid, copied_pictures, experiments_grid, sheets, shown_figures
+from livlab.criteria import VERDICTS, group_title
+from livlab.dossier.parts import claims_grid, copied_pictures, experiments_grid, groups_grid, sheets, shown_figures
 from livlab.dossier.site import MISSING, CellGrid, GridCell, Site, SiteEntry
+from livlab.dossier.sure_words import spelt, sure_words
 from livlab.dossier.thesis import answered, thesis_parts
 from livlab.kinds.picture.report_words import findings
 from livlab.reports.tables import Text, number
@@ -63,11 +65,22 @@ def index_page(site: Site, pages: Sequence[Page]) -> Page:
     counts: Counter[str] = Counter()
     for e in site.entries:
         counts.update(dict(e.counts))
-    bad = [(e, c) for verdict in ("FAIL", MISSING) for e in site.entries for c in e.rows if c["verdict"] == verdict]
+    bad = [
+        (e, c)
+        for verdict in ("FAIL", "TOO CLOSE", MISSING)
+        for e in site.entries
+        for c in e.rows
+        if c["verdict"] == verdict
+    ]
     silent = [e for e in site.entries if e.run is None and not e.rows]
     trouble: list[Any] = []
     if bad:
-        trouble.append(claims_grid(bad, "Claims that fail, then those that cannot be judged, each with why."))
+        trouble.append(
+            claims_grid(
+                bad,
+                "Claims that fail, those too close to their limit, and those that cannot be judged, each with why.",
+            )
+        )
     trouble += [
         Text(f"{MISSING}: {e.name} has no result, so that none of its claims is known: {e.reason}.") for e in silent
     ]
@@ -80,7 +93,9 @@ def index_page(site: Site, pages: Sequence[Page]) -> Page:
         str(site.dossier["title"]),
         str(site.dossier["description"]).strip(),
         (
-            PagePart("trouble", "What fails, and what is missing", tuple(trouble)),
+            PagePart("groups", "What is claimed, by what it is held against", (groups_grid(site.entries),)),
+            PagePart("trouble", "What fails, is too close, or is missing", tuple(trouble)),
+            PagePart("sure", "How sure the verdicts are together", sure_words(site)),
             *every,
             PagePart(
                 "thesis", "The thesis's figures and tables", (_answers(site),), link="thesis.html", lead="All of them"
@@ -88,7 +103,7 @@ def index_page(site: Site, pages: Sequence[Page]) -> Page:
             *_every_claim(site),
             _baseline(site),
         ),
-        tuple((v, counts[v]) for v in ("PASS", "FAIL", MISSING) if counts[v]),
+        tuple((v, counts[v]) for v in VERDICTS if counts[v]),
         _facts(site),
         _notices(site),
     )
@@ -147,7 +162,7 @@ def _grouped(group: Mapping[str, Any], entries: Sequence[SiteEntry], parts: Sequ
     counts: Counter[str] = Counter()
     for e in entries:
         counts.update(dict(e.counts))
-    shown = tuple((v, counts[v]) for v in ("PASS", "FAIL", MISSING) if counts[v])
+    shown = tuple((v, counts[v]) for v in VERDICTS if counts[v])
     title, text = str(group["title"]), str(group["text"]).strip()
     return Page(str(group["id"]), str(group["short"] or title), title, text, tuple(parts), shown)
 
@@ -178,16 +193,20 @@ def _experiment(site: Site, e: SiteEntry, said: Mapping[str, Any], page: str) ->
 def _claims(e: SiteEntry) -> Any:
     if not e.rows:
         return Text("It makes no claims." if e.run is not None else "Its claims are not known.")
-    columns = ("claim", "verdict", "value ± error", "reference", "tolerance", "seconds")
+    columns = ("claim", "verdict", "value ± error", "wanted", "held against", "seconds")
     rows = tuple(
         (
             GridCell(c["criterion"], note=c["reason"]),
             GridCell(verdict=c["verdict"]),
-            *(GridCell(c[k]) for k in ("value", "reference", "tolerance", "seconds")),
+            *(GridCell(c[k]) for k in ("value", "wanted")),
+            GridCell(group_title(c["group"], e.tissue) if c["group"] else ""),
+            GridCell(c["seconds"]),
         )
         for c in e.rows
     )
-    return CellGrid(f"Claims of {e.name}.", columns, rows, columns[2:], f"Its {len(rows)} claims")
+    return CellGrid(
+        f"Claims of {e.name}.", columns, rows, ("value ± error", "wanted", "seconds"), f"Its {len(rows)} claims"
+    )
 
 
 def _every_claim(site: Site) -> list[PagePart]:
@@ -257,10 +276,10 @@ def _baseline(site: Site) -> PagePart:
         content.append(Text("There is no baseline yet; livlab validate --update-baseline records which claims hold."))
     else:
         content.append(Text(f"{held} claims held when the baseline was recorded ({baseline['file']})."))
-    for key, words in (("lost", "Held then, and no longer."), ("gained", "Hold now, and are not in the baseline.")):
+    for key, words in _CHANGES:
         rows = tuple(
             (GridCell(c["claim"], note=c["why"]), GridCell(verdict=c["verdict"]), GridCell(c["experiment"]))
-            for c in baseline[key]
+            for c in baseline.get(key, ())
         )
         if rows:
             content.append(CellGrid(words, ("claim", "verdict", "experiment"), rows))
@@ -271,13 +290,20 @@ def _baseline(site: Site) -> PagePart:
     return PagePart("baseline", "What has changed since the baseline", tuple(content))
 
 
+_CHANGES = (
+    ("lost", "Held then, and no longer."),
+    ("undecided", "Held then, and lie too close to their limit now: nothing is lost, and nothing shown."),
+    ("gained", "Hold now, and are not in the baseline."),
+)
+
+
 def _facts(site: Site) -> tuple[tuple[str, str], ...]:
     entries = site.entries
     done = sum(e.run is not None for e in entries)
     here = sum(float(row["seconds"]) for row in site.record["experiments"])
     return (
         ("experiments", f"{done} of {len(entries)} have a result"),
-        ("took", f"{_spell(sum(e.seconds for e in entries))} in all, {_spell(here)} of it when this site was made"),
+        ("took", f"{spelt(sum(e.seconds for e in entries))} in all, {spelt(here)} of it when this site was made"),
         ("made", f"{site.record['made']} by livlab {site.record['livlab']}, on {site.record['cores']} cores"),
         ("again", "livlab validate"),
     )
@@ -295,7 +321,3 @@ def _notices(site: Site) -> tuple[str, ...]:
     if without:
         said.append(f"{MISSING}: no result of {', '.join(without)}.")
     return tuple(said)
-
-
-def _spell(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from markupsafe import Markup
 
 from livlab.core.files import write_whole
 from livlab.core.picture_files import png_size
+from livlab.criteria import GROUPS, VERDICTS, group_title
 from livlab.dossier.site import MISSING, CellGrid, GridCell, SiteEntry
 from livlab.kinds.picture.report import shown_pictures
 from livlab.kinds.picture.report_words import alt_text, caption
@@ -91,14 +93,33 @@ def claims_grid(found: Iterable[tuple[SiteEntry, Mapping[str, str]]], words: str
             GridCell(verdict=c["verdict"]),
             GridCell(e.name, e.report or f"{e.group}.html#{e.name}"),
             GridCell(c["value"]),
-            GridCell(c["reference"]),
-            GridCell(c["tolerance"]),
+            GridCell(c["wanted"]),
             GridCell(c["seconds"]),
         )
         for e, c in found
     ]
-    columns = ("claim", "verdict", "experiment", "value ± error", "reference", "tolerance", "seconds")
+    columns = ("claim", "verdict", "experiment", "value ± error", "wanted", "seconds")
     return CellGrid(words, columns, tuple(rows), columns[3:])
+
+
+def groups_grid(entries: Iterable[SiteEntry]) -> CellGrid:
+    """One row for what claims are held against: the thesis, each organ that was measured, livlab itself."""
+    found: dict[str, Counter[str]] = {}
+    unknown: Counter[str] = Counter()
+    told = [(e, row) for e in entries for row in e.rows]
+    for group in GROUPS:
+        for e, row in told:
+            if row["group"] == group:
+                found.setdefault(group_title(group, e.tissue), Counter())[row["verdict"]] += 1
+    unknown.update(row["verdict"] for _, row in told if row["group"] not in GROUPS)
+    if unknown:
+        found["Of experiments without a result"] = unknown
+    rows = [(GridCell(t), *(GridCell(str(n[v] or "")) for v in VERDICTS)) for t, n in found.items()]
+    words = (
+        "Two questions have two answers: whether a figure of the thesis comes out again (a limit on both sides), and "
+    )
+    words += "how near to a measurement it is (a limit on one side, since less error is never too little)."
+    return CellGrid(words, ("", *VERDICTS), tuple(rows), VERDICTS)
 
 
 def _copied(entry: SiteEntry, row: Mapping[str, Any], out: Path) -> Image:
@@ -117,4 +138,4 @@ def _copy(source: Path, out: Path, name: str) -> str:
     return target
 
 
-_VERDICTS = ("PASS", "FAIL", MISSING)
+_VERDICTS = VERDICTS

@@ -11,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 
+from livlab.criteria import VERDICTS
 from livlab.errors import InputError
 from livlab.reports.folder import RunData, read_run
 from livlab.reports.tables import claim_rows
@@ -74,12 +75,17 @@ class SiteEntry:
         return f"experiments/{self.name}.html" if self.run is not None else ""
 
     @property
+    def tissue(self) -> str:
+        """The organ it is about."""
+        return self.run.tissue if self.run is not None else "liver"
+
+    @property
     def counts(self) -> tuple[tuple[str, int], ...]:
         """Number of claims by verdict; an experiment without a result is missing whole."""
         if self.run is None:
             return ((MISSING, max(1, len(self.rows))),)
         found = Counter(r["verdict"] for r in self.rows)
-        return tuple((v, found[v]) for v in ("PASS", "FAIL", MISSING) if found[v])
+        return tuple((v, found[v]) for v in VERDICTS if found[v])
 
 
 @dataclass(frozen=True)
@@ -158,8 +164,8 @@ def _gone(claim: str, reason: str) -> Mapping[str, str]:
     return {
         "criterion": claim,
         "value": nothing,
-        "reference": nothing,
-        "tolerance": nothing,
+        "wanted": nothing,
+        "group": "",
         "verdict": MISSING,
         "seconds": nothing,
         "reason": reason,

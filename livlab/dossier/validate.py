@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -161,9 +161,25 @@ def validate(
 
 
 def record(
-    dossier: Dossier, experiments: Sequence[Planned], ended: dict[str, Ended], baseline: dict[str, Any], out: Path
+    dossier: Dossier,
+    experiments: Sequence[Planned],
+    ended: dict[str, Ended],
+    baseline: dict[str, Any],
+    out: Path,
+    *,
+    family: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What the site is built from, as JSON takes it; folders are told from the site's own."""
+    """What the site is built from, as JSON takes it; folders are told from the site's own.
+
+    Parameters
+    ----------
+    dossier, experiments, ended, baseline
+        What was asked for, what came out, and how it compares.
+    out
+        The site's folder.
+    family
+        How sure the verdicts are together (`livlab.dossier.sure.family_record`).
+    """
     rows = []
     for one in experiments:
         e = ended[one.name]
@@ -190,6 +206,7 @@ def record(
         "dossier": dossier.model_dump(mode="json", by_alias=True),
         "experiments": rows,
         "baseline": baseline,
+        "family": {} if family is None else dict(family),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -12,11 +12,11 @@ from livlab.config.load import parse_experiment
 from livlab.config.schema import Experiment
 from livlab.core import markup
 from livlab.errors import DatasetError, InputError, LivlabError
+from livlab.kinds.again_files import compared_files
 from livlab.kinds.execute import execute
-from livlab.runs.compare import FileVerdict, compare_file
+from livlab.runs.compare import FileVerdict
 from livlab.runs.files import plain_file, sha256, write_whole
 from livlab.runs.identity import RESULT_VERSION, digest, machine, read_manifest
-from livlab.runs.old import as_then, old_names
 from livlab.runs.work import Progress
 
 LARGEST_BYTES = 64 << 20
@@ -213,33 +213,10 @@ def run_again(
     then = original.manifest
     late: dict[str, Any] = {k: made.get(k) for k in ("libllvm", "variant", "gpu", "solvers") if k in then}
     differences = (*before, *_changed(then, late))
-    known = then["files"]
-    files = []
-    for name in dict.fromkeys((*known, *made["files"])):
-        if name == "config.toml":  # what went in, and not what came out: its digest is compared
-            continue
-        old, new = original.folder / name, outcome.folder / name
-        # A file that was changed since the run says nothing; its hash in the manifest still does.
-        there = old if name in known and old.is_file() and sha256(old) == known[name] else None
-        files.append(_compared(then, name, there, new if name in made["files"] else None))
-    again = Again(original, outcome.folder, differences, tuple(files), changed_since(original))
+    files = compared_files(then, original.folder, outcome.folder, made["files"])
+    again = Again(original, outcome.folder, differences, files, changed_since(original))
     write_whole(outcome.folder / "rerun.json", json.dumps(as_record(again), indent=2, ensure_ascii=False) + "\n")
     return again
-
-
-def _compared(then: Mapping[str, Any], name: str, old: Path | None, new: Path | None) -> FileVerdict:
-    """One file of the two runs; what has another name since is compared under the old one, and told."""
-    told: list[str] = []
-
-    def under_old_names(raw: bytes) -> bytes:
-        renamed = as_then(then, name, raw)
-        if renamed != raw:
-            told.extend(f"{before} is now {now}" for before, now in old_names(then, name).items())
-        return renamed
-
-    known, timeless = then["files"].get(name, ""), then.get("results", {}).get(name, "")
-    verdict = compare_file(name, old, new, known, timeless, under_old_names)
-    return replace(verdict, detail="; ".join(filter(None, (", ".join(told), verdict.detail))))
 
 
 def changed_since(original: Original) -> tuple[str, ...]:

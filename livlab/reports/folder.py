@@ -15,6 +15,8 @@ import xarray as xr
 from livlab.core.files import first_line, readable
 from livlab.core.netcdf import NetcdfTrouble, load_netcdf
 from livlab.core.toml_text import parse_toml
+from livlab.criteria import COLUMNS, FORMER_COLUMNS
+from livlab.criteria.table import completed
 from livlab.errors import InputError, LivlabError
 from livlab.runs.files import sha256
 from livlab.runs.old import as_today
@@ -23,8 +25,6 @@ LARGEST_BYTES = 1 << 28
 """Of a table; a run's are some MiB."""
 
 AGAIN = "Run the experiment again with --force."
-
-CLAIM_COLUMNS = ("criterion", "value", "standard_error", "reference", "tolerance", "verdict", "seconds")
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,13 @@ class RunData:
     manifest, config
         Parsed `manifest.json` and `config.toml`; `config_text` is the file as written.
     claims
-        `claims.csv`; empty when the run claims nothing.
+        `claims.csv`; empty when the run claims nothing. Of an older run with the columns of today, told from the names.
     tables
         The other CSV files by stem.
     result, coefficients
         Root and `coefficients` groups of `result.nc`, or None where the run did not get that far.
+    former_rule
+        Whether its claims were judged by the rule before result version 4, whose verdicts they keep.
     """
 
     path: Path
@@ -53,6 +55,12 @@ class RunData:
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     result: xr.Dataset | None = None
     coefficients: xr.Dataset | None = None
+    former_rule: bool = False
+
+    @property
+    def tissue(self) -> str:
+        """What organ it is about, as its claims of agreement call it: "liver", "skin"."""
+        return measured_tissue(self.config)
 
     @property
     def complete(self) -> bool:
@@ -89,10 +97,8 @@ def read_run(folder: Path) -> RunData:
     except (ValueError, RecursionError) as error:
         raise InputError.of("run folder", str(folder), f"is damaged ({first_line(error)})", AGAIN) from error
     tables = {f.stem: _read_csv(f) for f in sorted(folder.glob("*.csv"))}
-    claims = tables.pop("claims", pd.DataFrame(columns=list(CLAIM_COLUMNS)))
-    missing = [c for c in CLAIM_COLUMNS if c not in claims.columns]
-    if missing:
-        raise InputError.of("claims.csv", missing, "lacks these columns", AGAIN)
+    written = tables.pop("claims", pd.DataFrame(columns=list(COLUMNS)))
+    claims = _claims(written)
     result = _read_group(folder / "result.nc", None)
     if result is not None:
         result = as_today(manifest, "result.nc", result)
@@ -110,7 +116,30 @@ def read_run(folder: Path) -> RunData:
         tables=tables,
         result=result,
         coefficients=coefficients,
+        former_rule="group" not in written,
     )
+
+
+def measured_tissue(config: Mapping[str, Any]) -> str:
+    """The organ of an experiment, without "human"; "liver" where it names none.
+
+    >>> measured_tissue({"tissue": {"inline": {"name": "human skin"}}}), measured_tissue({})
+    ('skin', 'liver')
+    """
+    tissue = config.get("tissue")
+    inline = tissue.get("inline") if isinstance(tissue, Mapping) else None
+    name = str(inline.get("name", "")) if isinstance(inline, Mapping) else ""
+    return "liver" if not name or "liver" in name.lower() else name.removeprefix("human ")
+
+
+def _claims(table: pd.DataFrame) -> pd.DataFrame:
+    wanted = COLUMNS if "group" in table else FORMER_COLUMNS
+    missing = [c for c in wanted if c not in table.columns]
+    if missing:
+        raise InputError.of("claims.csv", missing, "lacks these columns", AGAIN)
+    if "group" in table:
+        return table
+    return pd.DataFrame(completed(table.to_dict("records")), columns=list(COLUMNS))
 
 
 def _text(file: Path) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -17,17 +16,29 @@ from livlab.reports import cost, figures, reviewer
 from livlab.reports.folder import RunData, read_run, sound
 from livlab.reports.stress import hard_cases
 from livlab.reports.tables import (
-    ClaimTable,
     ReportSection,
     Text,
     claim_rows,
+    claim_tables,
     from_frame,
     number,
+    verdict_counts,
 )
 from livlab.runs.files import told_plainly, write_whole
 
-ICONS = {"PASS": "✓", "FAIL": "✗", "MISSING": "?"}
+ICONS = {"PASS": "✓", "FAIL": "✗", "TOO CLOSE": "≈", "MISSING": "?"}
 
+
+RULE = (
+    "PASS and FAIL: the value lies within its limits, or beyond one, by more than two standard errors; an exact one, "
+    "by anything. TOO CLOSE: nearer than that, with the samples that would settle it. MISSING: there is no value or no "
+    "reference."
+)
+FORMER_RULE = (
+    "Judged by an older livlab, and shown as judged then: PASS within the tolerance of the reference, FAIL beyond it "
+    "or where the standard error exceeds half the tolerance. Run it again for verdicts by today's rule (TOO CLOSE "
+    "within two standard errors of a limit, one limit for agreement)."
+)
 
 Body = Callable[[RunData, figures.Pictures], list[ReportSection]]
 """What a kind of experiment shows between its claims and its provenance."""
@@ -68,13 +79,14 @@ def _built(run: RunData, body: Body) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    counts = Counter(row["verdict"] for row in claim_rows(run.claims, {}))
+    rows = claim_rows(run.claims, {})
     text = environment.get_template("report.html.j2").render(
         title=str(run.config.get("title") or run.manifest.get("name", run.path.name)),
         description=str(run.config.get("description", "")),
         manifest={"livlab": run.manifest.get("livlab", "unknown"), **run.manifest},
         css=Markup(files("livlab.reports").joinpath("templates/style.css").read_text(encoding="utf-8")),
-        verdicts=[(v, counts[v]) for v in ICONS if counts[v]],
+        verdicts=verdict_counts(rows),
+        groups=[(t.title, t.counts) for t in claim_tables(rows, run.tissue)],
         icons=ICONS,
         facts=_facts(run),
         complete=run.complete,
@@ -121,12 +133,9 @@ def _spell(instrument: Any) -> str:
 def _sections(run: RunData, pictures: figures.Pictures, body: Body) -> list[ReportSection]:
     claims = ReportSection("claims", "What is claimed, and whether it holds")
     if len(run.claims):
-        claims.content.append(
-            ClaimTable(
-                "A claim passes when its value lies within the tolerance of the reference. "
-                "MISSING: the reference or the value is not available.",
-                claim_rows(run.claims, dict(run.manifest.get("claim_notes", {}))),
-            )
+        claims.content.append(Text(FORMER_RULE if run.former_rule else RULE))
+        claims.content.extend(
+            claim_tables(claim_rows(run.claims, dict(run.manifest.get("claim_notes", {}))), run.tissue)
         )
         if len(run.table("metrics")):
             claims.content.append(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import pandas as pd
+
+from livlab.criteria import GROUPS, VERDICTS, group_title
 
 NOT_AVAILABLE = "not available"
 LONG_TEXT = 28
@@ -44,10 +47,12 @@ class Table:
 
 @dataclass(frozen=True)
 class ClaimTable:
-    """The claim table."""
+    """A table of claims of one group, with its heading and the number of each verdict."""
 
     caption: str
     rows: tuple[Mapping[str, str], ...]
+    title: str = ""
+    counts: tuple[tuple[str, int], ...] = ()
     kind: str = "claims"
 
 
@@ -202,11 +207,11 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
     rows = []
     for c in claims.to_dict("records"):
         verdict = str(c["verdict"])
-        if verdict not in {"PASS", "FAIL", "MISSING"}:
+        if verdict not in VERDICTS:
             verdict = "MISSING"
         name = str(c["criterion"])
         reason = reasons.get(name, "")
-        digits = _digits(c["reference"], c["tolerance"])
+        digits = _digits(c)
         if verdict == "MISSING" and not reason:
             reason = "the run gave no reason"
         rows.append(
@@ -215,9 +220,10 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
                 "value": number(c["value"], digits)
                 if pd.isna(c["standard_error"])
                 else with_error(c["value"], c["standard_error"]),
-                "reference": number(c["reference"], digits),
-                "tolerance": number(c["tolerance"]),
+                "wanted": wanted_words(c, digits),
+                "group": str(c.get("group", "checks")),
                 "verdict": verdict,
+                "css": verdict.replace(" ", "-"),
                 "seconds": number(c["seconds"], 3),
                 "reason": reason,
             }
@@ -225,12 +231,52 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
     return tuple(rows)
 
 
-def _digits(reference: Any, tolerance: Any) -> int:
+def verdict_counts(rows: Iterable[Mapping[str, str]]) -> tuple[tuple[str, int], ...]:
+    """Number of claims by verdict, those that there are, in the order in which they are shown."""
+    counts = Counter(row["verdict"] for row in rows)
+    return tuple((v, counts[v]) for v in VERDICTS if counts[v])
+
+
+def claim_tables(rows: Sequence[Mapping[str, str]], tissue: str, caption: str = "") -> tuple[ClaimTable, ...]:
+    """The claims of a run by group: what the thesis prints, what was measured, livlab's own."""
+    made = []
+    for group in GROUPS:
+        own = tuple(row for row in rows if row["group"] == group)
+        if own:
+            made.append(ClaimTable(caption or _ABOUT[group], own, group_title(group, tissue), verdict_counts(own)))
+    other = tuple(row for row in rows if row["group"] not in GROUPS)
+    return (*made, ClaimTable(caption, other, "Other claims", verdict_counts(other))) if other else tuple(made)
+
+
+_ABOUT = {
+    "reproduces": "Figures that the thesis prints, with a tolerance on both sides: a value that is better than the "
+    "thesis's does not reproduce it.",
+    "agrees": "Distance from what was measured, with a limit on one side: less error is never too little.",
+    "checks": "Livlab held against itself, against other codes, and against margins of its own.",
+}
+
+
+def wanted_words(claim: Mapping[Any, Any], digits: int = 4) -> str:
+    """What a claim wants: "at most 0.1", "0.19 ± 0.04", "15 to 60"."""
+    low, high, reference, tolerance = (
+        None if pd.isna(claim.get(k)) else claim.get(k) for k in ("at_least", "at_most", "reference", "tolerance")
+    )
+    if low is not None and high is not None:
+        if reference is not None and tolerance is not None:
+            return f"{number(reference, digits)} ± {number(tolerance)}"
+        return f"{number(low, digits)} to {number(high, digits)}"
+    if low is not None:
+        return f"at least {number(low, digits)}"
+    return NOT_AVAILABLE if high is None else f"at most {number(high, digits)}"
+
+
+def _digits(claim: Mapping[Any, Any]) -> int:
     """Digits that show a number to a tenth of its tolerance, so that the reader can judge the verdict.
 
-    >>> _digits(0.5, 0.05), _digits(1.0, 2e-5), _digits(float("nan"), 0.1)
+    >>> _digits({"reference": 0.5, "tolerance": 0.05}), _digits({"reference": 1.0, "tolerance": 2e-5}), _digits({})
     (4, 6, 4)
     """
+    reference, tolerance = claim.get("reference"), claim.get("tolerance")
     if pd.isna(reference) or pd.isna(tolerance) or not reference or not tolerance > 0:
         return 4
     return min(max(4, math.ceil(math.log10(abs(reference) / tolerance)) + 1), 12)

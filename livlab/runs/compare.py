@@ -110,7 +110,7 @@ def timeless_hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
 def compare_file(
     name: str,
     before: Path | None,
-    now: Path | None,
+    now: Path | bytes | None,
     known: str = "",
     known_timeless: str = "",
     as_then: Callable[[bytes], bytes] | None = None,
@@ -122,7 +122,8 @@ def compare_file(
     name
         Its name.
     before, now
-        The two files; None where there is none. `before` may be gone, if the manifest still has its hashes.
+        The two files, of the later one its content will do; None where there is none. `before` may be gone, if the
+        manifest still has its hashes.
     known, known_timeless
         The earlier file's hash, as it is and without times, from its manifest.
     as_then
@@ -133,7 +134,8 @@ def compare_file(
         return FileVerdict(name, "only now" if now is not None else "only before")
     if name in ACCOUNTS:
         return FileVerdict(name, "not compared", "an account of time")
-    raw = now.read_bytes() if as_then is None else as_then(now.read_bytes())
+    raw = now if isinstance(now, bytes) else now.read_bytes()
+    raw = raw if as_then is None else as_then(raw)
     old = before.read_bytes() if before is not None else None
     if hashlib.sha256(raw).hexdigest() == (known or hashlib.sha256(old or b"").hexdigest()):
         return FileVerdict(name, "same")

@@ -1,11 +1,15 @@
-"""Runs of older livlabs: what their files called otherwise, so that they open, and compare, under today's names."""
+"""Runs of older livlabs: what their files called or judged otherwise, so that they open, and compare, as they were."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from livlab.criteria import FORMER_COLUMNS, read_claims
+from livlab.criteria.table import under_former_rule
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +59,29 @@ def old_names(manifest: Mapping[str, Any], file: str) -> dict[str, str]:
         if r.kind == kind and r.file == file and isinstance(version, int) and version < r.since:
             found |= r.names
     return found
+
+
+CLAIM_FILES = ("claims.csv", "claims.notes.json")
+RULE_SINCE = 4
+"""First result version whose verdicts need a distance of two standard errors from the limit."""
+
+
+def judged_otherwise(manifest: Mapping[str, Any], folder: Path) -> bool:
+    """Whether a run's verdicts came about by the former rule: by its result version, and by the table itself."""
+    version = manifest.get("result_version", 0)
+    if isinstance(version, int) and version < RULE_SINCE:
+        return True
+    try:
+        with (folder / CLAIM_FILES[0]).open(encoding="utf-8") as table:
+            return table.readline(1000).strip() == ",".join(FORMER_COLUMNS)
+    except (OSError, ValueError):
+        return False
+
+
+def claims_as_then(folder: Path) -> dict[str, bytes]:
+    """claims.csv and its notes of a run of today, by name, as the former rule has them; {} if there are none."""
+    table = folder / CLAIM_FILES[0]
+    return under_former_rule(read_claims(table)) if table.is_file() else {}
 
 
 def as_today(manifest: Mapping[str, Any], file: str, data: xr.Dataset) -> xr.Dataset:

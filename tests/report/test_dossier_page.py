@@ -43,9 +43,9 @@ def words(site: Path, page: str) -> str:
 
 def test_every_claim_stands_on_the_index_with_its_verdict_and_cost(site: Path) -> None:
     text = words(site, "index.html")
-    assert re.search(r"slope ✓ PASS one 2\.020 ± 0\.010 2 0\.1 1\.5", text)
-    assert re.search(r"height ✗ FAIL one 9\.00 ± 0\.50 1 2 2", text)
-    assert re.search(r"depth the <reference> is not to be had \? MISSING one not available 1 0\.1", text)
+    assert re.search(r"slope ✓ PASS one 2\.020 ± 0\.010 2 ± 0\.1 1\.5", text)
+    assert re.search(r"height ✗ FAIL one 9\.00 ± 0\.50 1 ± 2 2", text)
+    assert re.search(r"depth the <reference> is not to be had \? MISSING one not available 1 ± 0\.1", text)
     assert "2 PASS" in text  # slope and seconds
     assert "1 FAIL" in text
     assert "2 of 3 have a result" in text

@@ -6,6 +6,7 @@ import pytest
 
 from livlab.criteria import (
     COLUMNS,
+    FORMER_COLUMNS,
     Claim,
     Criterion,
     format_value,
@@ -29,10 +30,16 @@ def test_name_says_metric_reading_reference_and_band():
     [
         (0.995, 0.001, "PASS"),
         (0.99, 0.0, "PASS"),
-        (0.99, 0.005, "PASS"),
+        (0.9899, 0.0, "FAIL"),
+        (0.99, 0.005, "TOO CLOSE"),
         (0.9899, 0.00001, "FAIL"),
-        (0.999, 0.0051, "FAIL"),
-        (1.0, 0.5, "FAIL"),
+        (0.98943, 0.00094, "TOO CLOSE"),
+        (0.98, 0.004, "FAIL"),
+        (0.992, 0.001, "TOO CLOSE"),  # at two standard errors, not beyond
+        (0.9921, 0.001, "PASS"),
+        (0.9879, 0.001, "FAIL"),
+        (0.999, 0.0051, "TOO CLOSE"),
+        (1.0, 0.5, "TOO CLOSE"),
     ],
 )
 def test_verdict(value, error, verdict):
@@ -40,9 +47,10 @@ def test_verdict(value, error, verdict):
 
 
 def test_more_noise_never_helps():
-    verdicts = [PEARSON.judge(0.992, error).verdict for error in (0.0, 0.001, 0.004, 0.006, 0.1)]
-    assert verdicts == ["PASS", "PASS", "PASS", "FAIL", "FAIL"]
-    assert "underpowered" in PEARSON.judge(0.992, 0.006).note
+    for value, without in ((0.992, "PASS"), (0.988, "FAIL")):
+        verdicts = [PEARSON.judge(value, error).verdict for error in (0.0, 0.0009, 0.004, 0.006, 0.1)]
+        assert verdicts == [without, without, "TOO CLOSE", "TOO CLOSE", "TOO CLOSE"]
+    assert "needs about" in PEARSON.judge(0.992, 0.006).note
     assert PEARSON.judge(0.9, 0.001).note == ""
 
 
@@ -101,7 +109,7 @@ def test_format_with_error():
 
 def test_judged_as_printed(tmp_path):
     claim = Claim.of("x", 0.98996, 0.0012, 1.0, 0.01)
-    assert (claim.value, claim.standard_error, claim.verdict) == (0.99, 0.0012, "PASS")
+    assert (claim.value, claim.standard_error, claim.verdict) == (0.99, 0.0012, "TOO CLOSE")
     assert round_to_error(0.98996, 0.0012) == 0.99
 
 
@@ -116,8 +124,9 @@ def test_csv_round_trip(tmp_path):
     )
     write_claims(path, claims)
     lines = path.read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "criterion,value,standard_error,reference,tolerance,verdict,seconds" == ",".join(COLUMNS)
-    assert lines[1] == "pearson measured vs human liver 500-720,0.99512,0.00042,1.0,0.01,PASS,12.35"
+    assert lines[0] == ",".join(COLUMNS)
+    assert lines[0].startswith("criterion,value,standard_error,reference,tolerance,verdict,seconds,group")
+    assert lines[1] == "pearson measured vs human liver 500-720,0.99512,0.00042,1.0,0.01,PASS,12.35,agrees,0.99,,"
     back = read_claims(path)
     assert [c.criterion for c in back] == [c.criterion for c in claims]
     for a, b in zip(claims, back, strict=True):
@@ -149,11 +158,19 @@ def test_duplicate_names_are_refused(tmp_path):
     [
         ("a,b\n", "columns must be"),
         ("", "columns must be"),
-        (",".join(COLUMNS) + "\nx,1,0,1,0.1,MAYBE,0\n", "PASS, FAIL or MISSING"),
+        (",".join(COLUMNS) + "\nx,1,0,1,0.1,MAYBE,0,checks,0.9,1.1,\n", "PASS, FAIL, TOO CLOSE or MISSING"),
         (",".join(COLUMNS) + "\nx,1,0,1,0.1\n", "cells"),
-        (",".join(COLUMNS) + "\nx,one,0,1,0.1,PASS,0\n", "no number"),
-        (",".join(COLUMNS) + "\nx,0.5,0,1,0.1,PASS,0\n", "the numbers say FAIL"),
-        (",".join(COLUMNS) + "\nx,,,1,0.1,PASS,0\n", "value = None"),
+        (",".join(COLUMNS) + "\nx,one,0,1,0.1,PASS,0,checks,0.9,1.1,\n", "no number"),
+        (",".join(COLUMNS) + "\nx,0.5,0,1,0.1,PASS,0,checks,0.9,1.1,\n", "the numbers say FAIL"),
+        (",".join(COLUMNS) + "\nx,1,0,1,0.1,PASS,0,others,0.9,1.1,\n", "reproduces, agrees or checks"),
+        (",".join(COLUMNS) + "\nx,1,0,,,PASS,0,checks,,,\n", "every value would pass"),
+        (",".join(COLUMNS) + "\nx,,,1,0.1,PASS,0,checks,0.9,1.1,\n", "value = None"),
+        (",".join(FORMER_COLUMNS) + "\nx,1,0,1,0.1,MAYBE,0\n", "PASS, FAIL or MISSING"),
+        (",".join(FORMER_COLUMNS) + "\nx,1,0,1,0.1,TOO CLOSE,0\n", "PASS, FAIL or MISSING"),
+        (",".join(FORMER_COLUMNS) + "\nx,one,0,1,0.1,PASS,0\n", "no number"),
+        (",".join(FORMER_COLUMNS) + "\nx,0.5,0,1,0.1,PASS,0\n", "the numbers say FAIL"),
+        (",".join(FORMER_COLUMNS) + "\nx,0.95,0.06,1,0.1,PASS,0\n", "the numbers say FAIL"),
+        (",".join(FORMER_COLUMNS) + "\nx,,,1,0.1,PASS,0\n", "value = None"),
     ],
 )
 def test_a_damaged_table_is_refused(tmp_path, text, says):

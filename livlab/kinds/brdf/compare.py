@@ -97,18 +97,18 @@ def _claim(c: BrdfCriterion, name: str, one: Seen) -> Claim:
     where = "all wavelengths" if c.wavelength_nm is None else f"{c.wavelength_nm:g} nm"
     label = f"{c.metric} sphere {name} vs {c.against}, {where}"
     if c.metric == "seconds":
-        return Claim.of(f"seconds {name}", one.seconds, 0.0, c.reference, c.tolerance, seconds=one.seconds)
+        return Claim.judged(f"seconds {name}", one.seconds, 0.0, c.aim, seconds=one.seconds)
     if c.against == "nunes2017":
         return _measured(c, label, one)
     row = one.comparison.get((PAIRS.get(c.against, c.against), c.wavelength_nm))
     key = "ratio" if c.metric == "relative difference" else c.metric
     if row is None or key not in row:
         reason = "nothing was fitted" if c.against == "fit" else "no such comparison in a tissue's run"
-        return Claim.missing(label, reason, reference=c.reference, tolerance=c.tolerance)
+        return Claim.missing(label, reason, aim=c.aim)
     value = row[key] - (1.0 if key == "ratio" else 0.0)
     if not np.isfinite(value):
-        return Claim.missing(label, "one of the curves is constant", reference=c.reference, tolerance=c.tolerance)
-    return Claim.of(label, value, row[f"{key}_se"], c.reference, c.tolerance, seconds=one.seconds)
+        return Claim.missing(label, "one of the curves is constant", aim=c.aim)
+    return Claim.judged(label, value, row[f"{key}_se"], c.aim, seconds=one.seconds)
 
 
 def _measured(c: BrdfCriterion, label: str, one: Seen) -> Claim:
@@ -121,14 +121,14 @@ def _measured(c: BrdfCriterion, label: str, one: Seen) -> Claim:
         table = datasets.load(REFERENCE)
     except datasets.ReferenceUnavailable as error:
         reason = f"{error.message} {error.remedy}".strip()
-        return Claim.missing(label, reason, reference=c.reference, tolerance=c.tolerance)
+        return Claim.missing(label, reason, aim=c.aim)
     angle = table.column("angle") * (180 / np.pi if table.unit("angle") == "rad" else 1.0)
     order = np.argsort(angle)
     cut = one.sphere
     here = np.isfinite(cut.at_deg) & (cut.at_deg >= angle.min()) & (cut.at_deg <= angle.max())
     if here.sum() < 3:
         reason = f"{REFERENCE} has fewer than three of the cut's angles"
-        return Claim.missing(label, reason, reference=c.reference, tolerance=c.tolerance)
+        return Claim.missing(label, reason, aim=c.aim)
     known = np.interp(cut.at_deg[here], angle[order], table.column("brdf")[order])
     if c.wavelength_nm is None:
         value = cut.value[:, here].mean(0)
@@ -139,4 +139,4 @@ def _measured(c: BrdfCriterion, label: str, one: Seen) -> Claim:
     row = _row(value, error_, known, np.zeros_like(known), 0)
     key = "ratio" if c.metric == "relative difference" else c.metric
     shift = 1.0 if key == "ratio" else 0.0
-    return Claim.of(label, row[key] - shift, row[f"{key}_se"], c.reference, c.tolerance, seconds=one.seconds)
+    return Claim.judged(label, row[key] - shift, row[f"{key}_se"], c.aim, seconds=one.seconds)

@@ -11,7 +11,9 @@ from pydantic import Field, model_validator
 
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section
+from livlab.criteria import Wanted
 from livlab.errors import InputError
+from livlab.kinds.shared.criterion import Judged
 from livlab.kinds.shared.sections import Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading, ReadingName
@@ -170,8 +172,8 @@ class Scan(Section):
     )
 
 
-class BrdfCriterion(Section):
-    """A claim to judge: |value − reference| ≤ tolerance."""
+class BrdfCriterion(Judged):
+    """A claim to judge; a tolerance alone is one about 0."""
 
     metric: Literal["relative rms", "parameter error", "seconds", "rmse", "mse", "pearson", "relative difference"] = (
         Field(description="What is computed.")
@@ -181,8 +183,17 @@ class BrdfCriterion(Section):
     parameter: str | None = Field(None, description="parameter error: which; relative to the true value.")
     against: Literal["goniometer", "fit", "nunes2017", "truth"] = Field("truth", description="What it is held against.")
     wavelength_nm: float | None = Field(None, gt=0, description="Tissue: one wavelength; all together if not said.")
-    reference: float = Field(0.0, description="Value expected.")
-    tolerance: Annotated[float, Field(ge=0)] = Field(description="How far from it passes.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _about_zero(cls, given: Any) -> Any:
+        alone = isinstance(given, dict) and "tolerance" in given and "reference" not in given
+        return {**given, "reference": 0.0} if alone else given
+
+    @property
+    def aim(self) -> Wanted:
+        """What it wants; only what was measured of liver is no check of livlab itself."""
+        return self.aims(self.metric, None if self.against == "nunes2017" else "checks")
 
 
 class BrdfExperiment(Experiment):

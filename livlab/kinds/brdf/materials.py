@@ -221,14 +221,14 @@ def _judge(config: BrdfExperiment, c: BrdfCriterion, found: dict[tuple[str, str]
             found_error = relative_error(part.fit, spec.true, str(c.parameter))
             if found_error is None:
                 if c.of != "all":
-                    claims.append(Claim.missing(name, "the material's true value is not given"))
+                    claims.append(Claim.missing(name, "the material's true value is not given", aim=c.aim))
                 continue
             value = found_error
         else:
             if c.of == "all":
                 continue
             reason = "nothing was fitted" if c.metric == "parameter error" else "is judged for a tissue only"
-            claims.append(Claim.missing(name, reason, reference=c.reference, tolerance=c.tolerance))
+            claims.append(Claim.missing(name, reason, aim=c.aim))
             continue
-        claims.append(Claim.of(name, value, 0.0, c.reference, c.tolerance, seconds=part.seconds))
+        claims.append(Claim.judged(name, value, 0.0, c.aim, seconds=part.seconds))
     return claims

@@ -150,7 +150,7 @@ def _slope(rows: Sequence[CostRow], solver: str) -> Claim:
         value, error = slope(list(rows), solver)
     except InputError as trouble:
         return Claim.missing(name, trouble.message, reference=SLOPE, tolerance=SLOPE_TOLERANCE)
-    return Claim.of(name, value, error, SLOPE, SLOPE_TOLERANCE)
+    return Claim.of(name, value, error, SLOPE, SLOPE_TOLERANCE, samples="repeats of its walks")
 
 
 __all__ = ["case_claims", "ladder_claims", "prepare_ladder", "prepare_stress"]

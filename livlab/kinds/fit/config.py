@@ -11,9 +11,11 @@ from livlab.acquire.instruments.hyperspectral_camera import HyperspectralCamera
 from livlab.acquire.instruments.models import Instrument
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section
+from livlab.criteria import Wanted
 from livlab.errors import InputError
 from livlab.kinds.fit.config_alternative import Alternative, has, lacking
 from livlab.kinds.fit.config_parameter import FitParameter, Positive
+from livlab.kinds.shared.criterion import Judged
 from livlab.kinds.shared.sections import Wavelength, Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading
@@ -97,16 +99,19 @@ class RoundTrip(Section):
     )
 
 
-class FitCriterion(Section):
-    """A claim to judge: |value − reference| ≤ tolerance."""
+class FitCriterion(Judged):
+    """A claim to judge."""
 
     metric: Literal["pearson", "rmse", "colour difference", "settled", "coverage"] = Field(
         description="Of a measurement's curves as they are compared; settled: 1 where fresh draws gave the same "
         "parameters; coverage: share of the round trips' intervals that hold the truth."
     )
     of: Label | None = Field(None, description="Label of the measurement.")
-    reference: float = Field(description="Value expected.")
-    tolerance: Annotated[float, Field(ge=0)] = Field(description="How far from it passes.")
+
+    @property
+    def aim(self) -> Wanted:
+        """What it wants."""
+        return self.aims(self.metric)
 
     @property
     def name(self) -> str:

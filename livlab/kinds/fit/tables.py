@@ -273,7 +273,8 @@ def claims(
             value = by_label.get(str(c.of), {}).get(c.metric.replace(" ", "_"))
         if value is None:
             why = reasons.get(str(c.of)) or f"{c.metric} of {c.of or 'round trips'} cannot be computed"
-            claims.append(Claim.missing(c.name, why, reference=c.reference, tolerance=c.tolerance, seconds=seconds))
+            claims.append(Claim.missing(c.name, why, aim=c.aim, seconds=seconds))
         else:
-            claims.append(Claim.of(c.name, float(value), error, c.reference, c.tolerance, seconds=seconds))
+            drawn = "round trips" if c.metric == "coverage" else "samples"
+            claims.append(Claim.judged(c.name, float(value), error, c.aim, seconds=seconds, samples=drawn))
     return claims

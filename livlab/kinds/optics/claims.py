@@ -41,7 +41,9 @@ def published_claims(config: OpticsExperiment) -> list[Claim]:
         found = mie(p.n_particle / p.n_medium, size_parameter(p.radius_um * 1e-3, p.wavelength_nm, p.n_medium))
         value = float(getattr(found, p.quantity))
         name = f"{p.label}: {p.quantity}"
-        claims.append(Claim.of(name, value, 0.0, p.value, p.tolerance, seconds=time.perf_counter() - started))
+        claims.append(
+            Claim.of(name, value, 0.0, p.value, p.tolerance, group="checks", seconds=time.perf_counter() - started)
+        )
     return claims
 
 
@@ -70,7 +72,7 @@ def absorption_claims(data: xr.Dataset, config: OpticsExperiment) -> list[Claim]
         if np.isfinite(value):
             claims.append(_judge(c, value, started))
         else:
-            claims.append(Claim.missing(c.name, reason, reference=c.reference, tolerance=c.tolerance))
+            claims.append(Claim.missing(c.name, reason, aim=c.aim))
     return claims
 
 
@@ -139,4 +141,4 @@ def _scattering_value(metric: str, at: xr.Dataset) -> float:
 
 
 def _judge(c: OpticsCriterion, value: float, started: float) -> Claim:
-    return Claim.of(c.name, value, 0.0, c.reference, c.tolerance, seconds=time.perf_counter() - started)
+    return Claim.judged(c.name, value, 0.0, c.aim, seconds=time.perf_counter() - started)

@@ -12,7 +12,9 @@ from pydantic import Field, model_validator
 
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section, Text
+from livlab.criteria import Wanted
 from livlab.errors import InputError
+from livlab.kinds.shared.criterion import Judged
 from livlab.kinds.shared.sections import Wavelength, Wavelengths
 
 Refractive = Annotated[float, Field(gt=0.1, lt=10.0)]
@@ -55,8 +57,8 @@ class Chromophore(Section):
     )
 
 
-class OpticsCriterion(Section):
-    """A claim to judge: |value − reference| ≤ tolerance."""
+class OpticsCriterion(Judged):
+    """A claim to judge; one of `checks` unless it says otherwise."""
 
     metric: Literal["pearson", "rmse", "log ratio", "phase rmse", "anisotropy", "value", "peak", "crossing"] = Field(
         description="Of scattering efficiencies over the wavelengths (pearson, rmse: of the curves over their maxima; "
@@ -70,9 +72,12 @@ class OpticsCriterion(Section):
     band_nm: tuple[Wavelength, Wavelength] | None = Field(
         None, strict=False, description="Where the peak or crossing is sought."
     )
-    reference: float = Field(description="Value expected.")
-    tolerance: Annotated[float, Field(ge=0)] = Field(description="How far from it passes.")
     source: Text = Field("", description="Where the reference is from; shown in the report.")
+
+    @property
+    def aim(self) -> Wanted:
+        """What it wants."""
+        return self.aims(self.metric, "checks")
 
     @property
     def name(self) -> str:

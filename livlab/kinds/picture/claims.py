@@ -44,18 +44,16 @@ def judge(config: PictureExperiment, pictures: Mapping[Key, PictureSummary]) -> 
     claims = []
     for c, reading, name in config.claims():
         own = pictures[(c.of or "", reading)]
-        low, high = c.within
         try:
             value, error = _value(config, c, own, pictures, reading)
         except ArithmeticError as reason:
-            claims.append(_missing(name, str(reason), low, high, own.seconds))
+            claims.append(Claim.missing(name, str(reason), aim=c.aim, seconds=own.seconds))
             continue
         if not (np.isfinite(value) and np.isfinite(error)):
-            claims.append(
-                _missing(name, "the picture gives no number: nothing of the body is lit", low, high, own.seconds)
-            )
+            why = "the picture gives no number: nothing of the body is lit"
+            claims.append(Claim.missing(name, why, aim=c.aim, seconds=own.seconds))
             continue
-        claims.append(Claim.of(name, value, error, (low + high) / 2, (high - low) / 2, seconds=own.seconds))
+        claims.append(Claim.judged(name, value, error, c.aim, seconds=own.seconds))
     return claims
 
 
@@ -97,7 +95,3 @@ def _difference(first: MeanColour, second: MeanColour) -> tuple[float, float]:
         return float(delta_e_2000(pair[0], pair[1], space="lab"))
 
     return between(first.spectrum), propagated(between, first.spectrum, first.covariance)
-
-
-def _missing(name: str, reason: str, low: float, high: float, seconds: float) -> Claim:
-    return Claim.missing(name, reason, reference=(low + high) / 2, tolerance=(high - low) / 2, seconds=seconds)

@@ -12,9 +12,12 @@ from pydantic import Field, model_validator
 
 from livlab.config.errors import nearest
 from livlab.config.schema import Experiment, Label, Section
+from livlab.criteria import Group, Wanted, wanted
+from livlab.criteria.limits import within
 from livlab.effects.config import EffectsConfig
 from livlab.errors import InputError
 from livlab.kinds.picture.config_scene import CameraSpec, Geometry, LightSpec, ObjectSpec, resolved_files
+from livlab.kinds.shared.criterion import GROUP
 from livlab.kinds.shared.sections import Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading, ReadingName
@@ -150,7 +153,7 @@ Metric = Literal[
 
 
 class PictureCriterion(Section):
-    """A claim to judge: low ≤ value ≤ high.
+    """A claim to judge: low ≤ value ≤ high, or one limit; one of `checks` unless it says otherwise.
 
     Colours are CIELAB of the mean colour of the lit body as the picture shows it. A difference is the picture's own
     tissue less the compared one's; `colour difference` is CIEDE2000 between two colour routes.
@@ -165,13 +168,29 @@ class PictureCriterion(Section):
     of: Label | None = Field(None, description="A compared tissue by name; the picture's own if not said.")
     against: Label | None = Field(None, description="A difference's other side: a compared tissue, or a colour route.")
     route: Route | None = Field(None, description="Colour route; the picture's own if not said.")
-    within: tuple[float, float] = Field(strict=False, description="[low, high]: where it passes.")
+    within: tuple[float, float] | None = Field(None, strict=False, description="[low, high]: where it passes.")
+    at_least: float | None = Field(None, description="Lower limit, in place of `within`.")
+    at_most: float | None = Field(None, description="Upper limit, in place of `within`.")
+    group: Group | None = Field(None, description=GROUP)
     source: str = Field("", max_length=400, description="Where the bounds are from.")
+
+    @property
+    def aim(self) -> Wanted:
+        """What it wants."""
+        group = self.group or "checks"
+        if self.within is not None:
+            return within(self.metric, *self.within, group=group)
+        return wanted(self.metric, at_least=self.at_least, at_most=self.at_most, group=group)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if not self.within[0] < self.within[1]:
+        if self.within is not None and not self.within[0] < self.within[1]:
             raise InputError.of("within", self.within, "must rise", "Give [low, high].")
+        limits = {k: v for k in ("at_least", "at_most") if (v := getattr(self, k)) is not None}
+        if (self.within is None) == (not limits):
+            given = {"within": self.within, **limits}
+            raise InputError.of("within", given, "goes with no other limit, and is needed without", "Give one form.")
+        self.aim  # noqa: B018 - limits that do not rise are told here
         if self.metric.endswith("difference") != (self.against is not None):
             bound = "needs the other side" if self.against is None else "compares with nothing"
             raise InputError.of("against", self.against, f"{self.metric} {bound}", "Give it, or leave it out.")

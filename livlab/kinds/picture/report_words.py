@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 
 from livlab.kinds.picture.report_figures import name_of, tissues
 from livlab.reports.folder import RunData
-from livlab.reports.tables import number
+from livlab.reports.tables import number, wanted_words
 
 _LIGHTS = {
     "area": "a rectangle of {w:g} × {h:g} mm",
@@ -165,8 +166,7 @@ def findings(run: RunData) -> list[str]:
     grouped: dict[str, list[tuple[str, str]]] = {}
     for c in failed.to_dict("records"):
         name = str(c["criterion"])
-        low, high = float(c["reference"]) - float(c["tolerance"]), float(c["reference"]) + float(c["tolerance"])
-        text = f"{name} is {number(float(c['value']), 3)}, outside {number(low, 3)} to {number(high, 3)}"
+        text = f"{name} is {number(float(c['value']), 3)}, {_not(c)}"
         reading = next((r for r in sorted(readings, key=len, reverse=True) if r in name), "")
         grouped.setdefault(reading, []).append((name, text))
     for reading, texts in grouped.items():
@@ -174,6 +174,12 @@ def findings(run: RunData) -> list[str]:
         if reading and len(optics):
             said[-1] += _why(run, optics, reading, [name for name, _ in texts])
     return said
+
+
+def _not(claim: Mapping[Any, Any]) -> str:
+    """What a claim that fails is not: "outside 15 to 60", "not at most 8"."""
+    words = wanted_words({k: claim[k] for k in ("at_least", "at_most")}, 3)
+    return f"not {words}" if words.startswith("at ") else f"outside {words}"
 
 
 def _why(run: RunData, optics: pd.DataFrame, reading: str, claims: list[str]) -> str:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from livlab.acquire.instruments.models import Instrument
 from livlab.acquire.instruments.solvers import DEFAULT_ACCURACY, Solver, WalkSolver
 from livlab.config.errors import nearest
-from livlab.config.schema import Experiment, Label, Section
+from livlab.config.schema import Experiment, Label
+from livlab.criteria import Wanted
 from livlab.effects.config import EffectsConfig
 from livlab.errors import InputError
+from livlab.kinds.shared.criterion import Judged
 from livlab.kinds.shared.sections import Processing, Reference, Wavelength, Wavelengths
 from livlab.model.tissue.presets import TissueSpec
 from livlab.model.tissue.readings import READINGS, Reading, ReadingName
@@ -24,22 +26,25 @@ if TYPE_CHECKING:
 MOST_CURVE_POINTS = 2_000
 
 
-class CriterionSpec(Section):
-    """A claim to judge: |value − reference| ≤ tolerance."""
+class CriterionSpec(Judged):
+    """A claim to judge."""
 
     metric: Literal["pearson", "rmse", "mse", "amplitude ratio", "energy residual", "relative error"] = Field(
         description="What is computed; the last two need no reference curve."
     )
     reading: Label = Field("all", description="Reading by name, or all.")
     against: Label | None = Field(None, description="Label of the reference curve.")
-    reference: float = Field(description="Value expected.")
-    tolerance: Annotated[float, Field(ge=0)] = Field(description="How far from it passes.")
     on: Literal["points", "curve"] = Field(
         "points", description="Compare the simulated points, or the processed curve; both normalised."
     )
     band_nm: tuple[Wavelength, Wavelength] | None = Field(
         None, strict=False, description="First and last wavelength compared; all if not said."
     )
+
+    @property
+    def aim(self) -> Wanted:
+        """What it wants."""
+        return self.aims(self.metric)
 
     @property
     def needs_reference(self) -> bool:
@@ -200,7 +205,7 @@ class SpectralExperiment(Experiment):
         grid = self.wavelengths.grid()
         band = criterion.band_nm or (float(grid[0]), float(grid[-1]))
         against = criterion.against or _AGAINST[criterion.metric]
-        name = Criterion(criterion.metric, reading, against, criterion.reference, criterion.tolerance, band).name
+        name = Criterion(criterion.metric, reading, against, band_nm=band).name
         return name + (", processed curve" if criterion.on == "curve" else "")
 
 

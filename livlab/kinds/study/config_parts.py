@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from livlab.config.schema import Label, Section, Text
+from livlab.criteria import Wanted
 from livlab.errors import InputError
+from livlab.kinds.shared.criterion import Judged
 from livlab.kinds.shared.sections import Wavelength
 from livlab.model.tissue.readings import ReadingName
 
@@ -252,8 +255,8 @@ class Ablation(Section):
         return self
 
 
-class StudyCriterion(Section):
-    """A claim to judge: |value − reference| ≤ tolerance."""
+class StudyCriterion(Judged):
+    """A claim to judge."""
 
     output: str = Field(min_length=1, description="Name of the output.")
     statistic: Literal["value", "least", "largest", "first", "total", "mu star", "widest interval"] = Field(
@@ -262,14 +265,18 @@ class StudyCriterion(Section):
         "factor; widest interval: half-width over the factors.",
     )
     of: Label | None = Field(None, description="Case of an ablation, or factor.")
-    reference: float = Field(description="Value expected.")
-    tolerance: Annotated[float, Field(ge=0)] = Field(description="How far from it passes.")
 
     @property
     def name(self) -> str:
         """The claim's name."""
         what = self.output if self.statistic == "value" else f"{self.statistic} of {self.output}"
         return f"{what}, {self.of}" if self.of else what
+
+    def aim(self, outputs: Sequence[Output]) -> Wanted:
+        """What it wants: of an output's own metric, or of an index."""
+        if self.statistic not in ("value", "least", "largest"):
+            return self.aims(self.statistic)
+        return self.aims(next(o.metric for o in outputs if o.name == self.output))
 
     def check(self, method: str, field: str, factors: list[str]) -> None:
         """Whether it goes with a method.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from livlab.errors import InputError, Interrupted
 from livlab.jobs.jobs import Answer, Job, Scheduler, run_jobs
 from livlab.kinds.study import ablation, idle, sensitivity, sweep, tables
 from livlab.kinds.study.config import StudyExperiment
+from livlab.kinds.study.config_parts import StudyCriterion
 from livlab.kinds.study.design import Design, laid_out
 from livlab.kinds.study.outputs import Number, Outputs
 from livlab.kinds.study.points import Base
@@ -195,7 +196,7 @@ def _sweep(run: Run, config: StudyExperiment, design: Design, outputs: Outputs, 
         values = _column(made, c.output)
         values = values[np.isfinite(values)]
         value = None if not len(values) else float(values.min() if c.statistic == "least" else values.max())
-        claims.append(_claim(c, value, 0.0, outputs.missing.get(c.output, "no point has a value"), seconds))
+        claims.append(_claim(config, c, value, 0.0, outputs.missing.get(c.output, "no point has a value"), seconds))
     written: dict[str, Table] = {"results.csv": tables.results(config, points, curves, made)}
     _finish(run, config, outputs, claims, written, found.costs, found.moves)
 
@@ -242,7 +243,7 @@ def _sensitivity(
                 last = frame[frame["points"] == frame["points"].max()].set_index("factor")
                 value = float(last[column][c.of]) if column in last else None
         reason = why.get(c.output, f"{config.sensitivity.estimator} gives no {c.statistic}")
-        claims.append(_claim(c, value, 0.0, reason, seconds))
+        claims.append(_claim(config, c, value, 0.0, reason, seconds))
     _finish(run, config, outputs, claims, written, found.costs, found.moves)
 
 
@@ -281,7 +282,7 @@ def _ablation(
     for c in config.criterion:
         number = made[labels.index(str(c.of))][c.output]
         seconds = float(curves[labels.index(str(c.of))]["seconds"])
-        claims.append(_claim(c, number.value, number.standard_error, number.reason, seconds))
+        claims.append(_claim(config, c, number.value, number.standard_error, number.reason, seconds))
     costs = tables.costs(config, list(given.values()), list(given.values()), wall)
     _finish(run, config, outputs, claims, written, costs)
 
@@ -290,11 +291,13 @@ def _column(made: Sequence[Mapping[str, Number]], name: str) -> FloatArray:
     return np.array([m[name].value for m in made], dtype=np.float64)
 
 
-def _claim(c: Any, value: float | None, error: float, reason: str, seconds: float) -> Claim:
+def _claim(
+    config: StudyExperiment, c: StudyCriterion, value: float | None, error: float, reason: str, seconds: float
+) -> Claim:
     if value is None or not np.isfinite(value) or not np.isfinite(error):
         why = reason or "its error cannot be had"
-        return Claim.missing(c.name, why, reference=c.reference, tolerance=c.tolerance, seconds=seconds)
-    return Claim.of(c.name, value, error, c.reference, c.tolerance, seconds=seconds)
+        return Claim.missing(c.name, why, aim=c.aim(config.output), seconds=seconds)
+    return Claim.judged(c.name, value, error, c.aim(config.output), seconds=seconds)
 
 
 def _finish(

@@ -156,7 +156,7 @@ def test_a_claim_without_power_or_without_a_number_does_not_pass() -> None:
     noisy = {key: seen((0.30, 0.10, 0.05), error=0.2) for key in [("", "thesis"), ("", "measured")]}
     noisy |= {("healthy", r): seen((0.10, 0.03, 0.02), error=0.2) for r in ("thesis", "measured")}
     verdicts = {c.criterion: c for c in judge(config, noisy)}
-    assert verdicts["hue thesis"].verdict == "FAIL"
-    assert "underpowered" in verdicts["hue thesis"].note
+    assert verdicts["hue thesis"].verdict == "TOO CLOSE"
+    assert "needs about" in verdicts["hue thesis"].note
     dark = {key: seen((float("nan"),) * 3) for key in noisy}
     assert {c.verdict for c in judge(config, dark) if "error" not in c.criterion} == {"MISSING"}

@@ -114,7 +114,7 @@ def test_the_form_of_the_result_is_the_contract(result: xr.Dataset, done: Outcom
         for name in ("absorption", "scattering", "anisotropy"):
             assert coefficients[name].dims == ("reading", "layer", "element", "wavelength")
     assert (done.folder / "claims.csv").read_text().splitlines()[0] == (
-        "criterion,value,standard_error,reference,tolerance,verdict,seconds"
+        "criterion,value,standard_error,reference,tolerance,verdict,seconds,group,at_least,at_most,needs"
     )
 
 
