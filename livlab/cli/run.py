@@ -160,25 +160,32 @@ def _print_groups(console: Console, outcome: Outcome) -> None:
 
     claims = completed(outcome.claims)
     tissue = measured_tissue(parse_toml((outcome.folder / "config.toml").read_text(encoding="utf-8")))
-    for group in GROUPS:
-        own = [c for c in claims if c["group"] == group]
+    groups = [(group, [c for c in claims if c["group"] == group]) for group in GROUPS]
+    tables = {group: _claims_table(own) for group, own in groups if own}
+    endless = console.options.update(max_width=10_000)
+    fits = all(console.measure(t, options=endless).maximum <= console.width for t in tables.values())
+    for group, own in groups:
         if own:
             told = ", ".join(f"{n} {verdict}" for verdict, n in verdict_counts(own))
             console.print(Text(f"{group_title(group, tissue)}: {told}", style="bold"), soft_wrap=True)
-            _print_claims(console, own)
+            if fits:
+                console.print(tables[group])
+            else:
+                _print_lines(console, own)
 
 
-def _print_claims(console: Console, claims: list[dict[str, Any]]) -> None:
-    """The claims as a table, or as two lines each where the terminal is too narrow for one."""
-    rows = [_cells(claim) for claim in claims]
+def _claims_table(claims: list[dict[str, Any]]) -> Table:
     table = Table(title=None, header_style="bold")
     for column, justify in (("criterion", "left"), ("value ± error", "right"), ("wanted", "right"), ("", "left")):
         table.add_column(column, justify="right" if justify == "right" else "left", overflow="fold", no_wrap=True)
-    for criterion, shown, wanted, verdict in rows:
+    for criterion, shown, wanted, verdict in map(_cells, claims):
         table.add_row(*map(escape, (criterion, shown, wanted)), Text(verdict, style=_COLOURS.get(verdict, "")))
-    if console.measure(table, options=console.options.update(max_width=10_000)).maximum <= console.width:
-        console.print(table)
-        return
+    return table
+
+
+def _print_lines(console: Console, claims: list[dict[str, Any]]) -> None:
+    """Two lines a claim, where the terminal is too narrow for a table."""
+    rows = [_cells(claim) for claim in claims]
     margin = max(len(verdict) for *_, verdict in rows) + 2
     for criterion, shown, wanted, verdict in rows:
         line = Text(verdict.ljust(margin), style=_COLOURS.get(verdict, ""))

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 from livlab.criteria.judging import (
+    MOST_SAMPLES,
+    SETTLED,
     SIGMAS,
+    Drawn,
     Verdict,
     former_judge,
-    if_it_stays,
     inside,
     judge,
     outside,
-    samples_needed,
 )
 from livlab.criteria.limits import BOUNDS, Group, Wanted, metric_named, wanted, wanted_then
 from livlab.criteria.rounding import format_value, round_to_error
@@ -53,7 +54,8 @@ class Claim:
     at_least, at_most
         The limits; None where there is none on that side.
     needs
-        Where it is TOO CLOSE: how many times today's samples settle it in 9 of 10 cases; inf if none do.
+        Where it is TOO CLOSE: how many times today's samples settle it in 9 of 10 cases. Where none settle so many,
+        since a part of the error is the reference's: beyond how many more do not help, or inf.
     rule
         "tolerance" for a claim of an older run, whose verdict is shown as it was given then.
     """
@@ -163,8 +165,7 @@ class Claim:
         verdict = judge(value, standard_error, low, high)
         note, needs = "", None
         if verdict == "TOO CLOSE":
-            needs = samples_needed(value, standard_error, low, high, fixed)
-            note = _what_settles(value, standard_error, aim, needs, fixed, samples)
+            needs, note = _what_settles(Drawn(value, standard_error, low, high, fixed), samples)
         value, standard_error = _written(value, standard_error, aim, verdict)
         return cls(
             criterion=criterion,
@@ -322,19 +323,22 @@ def _written(value: float, error: float, aim: Wanted, verdict: Verdict) -> tuple
     return value, error
 
 
-def _what_settles(value: float, error: float, aim: Wanted, needs: float, fixed: float, samples: str) -> str:
-    limit = min((x for x in (aim.at_least, aim.at_most) if x is not None), key=lambda x: abs(value - x))
-    told = f"{abs(value - limit) / error:.3g} standard errors from its limit {format_value(limit)}: "
+def _what_settles(d: Drawn, samples: str) -> tuple[float, str]:
+    """How many times the samples, and what is told of it."""
+    limit = min((x for x in (d.at_least, d.at_most) if x is not None), key=lambda x: abs(d.value - x))
+    told = f"{abs(d.value - limit) / d.standard_error:.3g} standard errors from its limit {format_value(limit)}: "
+    needs, stays, most = d.needs(), d.if_it_stays(), d.settled(MOST_SAMPLES)
+    part = (
+        f"of its error {format_value(d.standard_error, d.standard_error)} a part of {format_value(d.fixed, d.fixed)} "
+        "is that of what it is held against"
+    )
     if math.isinf(needs):
-        if fixed > 0:
-            return told + (
-                f"no number of {samples} settles 9 cases in 10, since of its error {format_value(error, error)} a part "
-                f"of {format_value(fixed, fixed)} is that of what it is held against."
-            )
-        return told + f"no number of {samples} settles it: its limits lie too near to each other."
-    told += f"needs about {needs:g} × the {samples}, which settle 9 cases in 10"
-    stays = if_it_stays(value, error, aim.at_least, aim.at_most)
-    return told + (f"; {stays:g} × if the value stays where it is." if stays < needs and fixed == 0 else ".")
+        why = part if d.fixed > 0 else "its limits lie too near to each other"
+        return needs, told + f"no number of {samples} settles it, since {why}."
+    told += f"needs about {needs:g} × the {samples}, which settle "
+    told += "9 cases in 10" if most >= SETTLED else f"{100 * d.settled(needs):.0f} % of cases"
+    told += f"; {stays:g} × if the value stays where it is" if stays < needs else ""
+    return needs, told + ("." if most >= SETTLED else f". More do not help, since {part}.")
 
 
 def _numbers(name: str, value: float | None, standard_error: float | None) -> tuple[float, float]:

@@ -8,6 +8,7 @@ should be a PASS, comes up in 2.3 % of repetitions at most. Nearer than that it 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["PASS", "FAIL", "TOO CLOSE", "MISSING"]
@@ -19,6 +20,9 @@ SIGMAS = 2.0
 
 SETTLED = 0.93
 """Chance with which the samples that are asked for settle a claim; told as 9 in 10, which leaves some room."""
+
+NEAR = 0.97
+"""Share of what endless samples settle at which more are no longer worth it."""
 
 NARROW = 2.277
 """Standard errors for a FAIL of a claim whose two limits coincide: both tails count, 2 Φ(−2.277) = Φ(−2)."""
@@ -93,17 +97,15 @@ def inside(value: float, standard_error: float, at_least: float | None, at_most:
     return below(-room / standard_error)
 
 
-def samples_needed(
-    value: float, standard_error: float, at_least: float | None, at_most: float | None, fixed: float = 0.0
-) -> float:
-    """How many times the samples settle a claim that is too close, in 9 of 10 cases.
+@dataclass(frozen=True)
+class Drawn:
+    """A number judged, and how it would come out with more samples.
 
     With N times the samples the error is s = √((σ² − f²)/N + f²), f its part that no sample mends. The truth is not
     known better than the value tells, so the value then found is foreseen as normal about today's with the variance
-    (σ² − f²)(1 + 1/N): another draw about a truth that today's value gives to within its error. N is the least for
-    which that lies within 2 s of no limit with a probability of `SETTLED`.
+    (σ² − f²)(1 + 1/N): another draw about a truth that today's value gives to within its error.
 
-    Parameters
+    Attributes
     ----------
     value, standard_error
         Today's.
@@ -111,38 +113,55 @@ def samples_needed(
         The limits.
     fixed
         Part f of the standard error that more samples leave as it is: of the reference, of a systematic effect.
-
-    Returns
-    -------
-    The factor, rounded up to two digits; inf where no number of samples would do.
     """
-    drawn = math.sqrt(max(standard_error**2 - fixed**2, 0.0))
-    low, high = _ends(at_least, at_most)
 
-    def open_still(n: float) -> float:
-        s, spread = math.sqrt(drawn**2 / n + fixed**2), drawn * math.sqrt(1 + 1 / n)
+    value: float
+    standard_error: float
+    at_least: float | None
+    at_most: float | None
+    fixed: float = 0.0
+
+    @property
+    def sampled(self) -> float:
+        """The part of the standard error that samples mend."""
+        return math.sqrt(max(self.standard_error**2 - self.fixed**2, 0.0))
+
+    def settled(self, factor: float) -> float:
+        """Chance that so many times the samples leave it no longer TOO CLOSE."""
+        low, high = _ends(self.at_least, self.at_most)
+        s = math.sqrt(self.sampled**2 / factor + self.fixed**2)
+        spread = self.sampled * math.sqrt(1 + 1 / factor)
         near = SIGMAS if high - low > 4 * s else NARROW
         zones = [(x - near * s, x + near * s) for x in (low, high) if math.isfinite(x)]
         if len(zones) == 2 and zones[0][1] >= zones[1][0]:
             zones = [(zones[0][0], zones[1][1])]
         if spread == 0:
-            return float(any(a <= value <= b for a, b in zones))
-        return sum(below((b - value) / spread) - below((a - value) / spread) for a, b in zones)
+            return 1.0 - float(any(a <= self.value <= b for a, b in zones))
+        return 1.0 - sum(below((b - self.value) / spread) - below((a - self.value) / spread) for a, b in zones)
 
-    if drawn == 0 or open_still(MOST_SAMPLES) > 1 - SETTLED:
-        return math.inf
-    few, many = 0.0, math.log(MOST_SAMPLES)
-    for _ in range(60):
-        middle = (few + many) / 2
-        few, many = (few, middle) if open_still(math.exp(middle)) <= 1 - SETTLED else (middle, many)
-    return _up(math.exp(many))
+    def needs(self) -> float:
+        """How many times the samples settle it in 9 of 10 cases: the least factor of which `settled` is `SETTLED`.
 
+        Where endless samples settle less, since a part of the error is fixed: the factor that comes near to what they
+        do. Rounded up to two digits; inf where even they would not settle half of the cases.
+        """
+        most = self.settled(MOST_SAMPLES)
+        aim = SETTLED if most >= SETTLED else NEAR * most
+        if self.sampled == 0 or most < 0.5:
+            return math.inf
+        few, many = 0.0, math.log(MOST_SAMPLES)
+        for _ in range(60):
+            middle = (few + many) / 2
+            few, many = (few, middle) if self.settled(math.exp(middle)) >= aim else (middle, many)
+        return _up(math.exp(many))
 
-def if_it_stays(value: float, standard_error: float, at_least: float | None, at_most: float | None) -> float:
-    """How many times the samples would do if the value stayed where it is; inf on a limit."""
-    low, high = _ends(at_least, at_most)
-    gap = min(abs(value - x) for x in (low, high))
-    return math.inf if gap == 0 else _up((SIGMAS * standard_error / gap) ** 2)
+    def if_it_stays(self) -> float:
+        """How many times the samples would do if the value stayed where it is; inf if none would."""
+        low, high = _ends(self.at_least, self.at_most)
+        gap = min(abs(self.value - x) for x in (low, high)) / SIGMAS
+        left = gap**2 - self.fixed**2
+        factor = self.sampled**2 / left if left > 0 else math.inf
+        return math.inf if factor > MOST_SAMPLES or factor == 0 else _up(factor)
 
 
 def former_judge(value: float, standard_error: float, reference: float, tolerance: float) -> tuple[Verdict, str]:

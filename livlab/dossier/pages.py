@@ -317,6 +317,9 @@ def _notices(site: Site) -> tuple[str, ...]:
         said.append(
             f"{len(lost)} claim{'' if one else 's'} that held no longer hold{'s' if one else ''}: see the baseline."
         )
+    close = len(site.record["baseline"].get("undecided", ()))
+    if close:
+        said.append(f"{close} that held {'is' if close == 1 else 'are'} too close to a limit now: see the baseline.")
     without = [e.name for e in site.entries if e.run is None]
     if without:
         said.append(f"{MISSING}: no result of {', '.join(without)}.")

@@ -51,6 +51,17 @@ def test_every_claim_stands_on_the_index_with_its_verdict_and_cost(site: Path) -
     assert "2 of 3 have a result" in text
 
 
+def test_groups_have_their_own_counts_and_the_verdicts_are_told_together(site: Path) -> None:
+    text = words(site, "index.html")
+    assert re.search(r"PASS FAIL TOO CLOSE MISSING Livlab's own checks 2 1 1 Of experiments without a result 1", text)
+    assert "2 claims are statistical" in text
+    assert "at least one of 2 would be wrong with a chance of up to 4.5 % if they are independent (Šidák)" in text
+    assert "1 of them FAIL; none could be a false alarm among so many" in text
+    assert re.search(r"height one < 1e-6 < 1e-6 8\.0 s", text)
+    assert 'href="claims.csv"' in (site / "index.html").read_text()
+    assert (site / "claims.csv").read_text().startswith("experiment,group,criterion,verdict,")
+
+
 def test_an_experiment_without_a_result_is_missing_everywhere(site: Path) -> None:
     for page in ("index.html", "more.html", "thesis.html"):
         assert "it <broke>: mend it." in words(site, page), page

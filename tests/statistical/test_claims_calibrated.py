@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from livlab.criteria import FALSE_ALARM, Claim, family_error, holm, judge, sidak
-from livlab.criteria.judging import SETTLED, inside, outside, samples_needed
+from livlab.criteria import FALSE_ALARM, Claim, Drawn, family_error, holm, judge, sidak
+from livlab.criteria.judging import SETTLED, inside, outside
 
 SEED = 14_0401
 REPEATS = 10_000
@@ -102,7 +102,7 @@ def test_the_samples_that_are_asked_for_settle_nine_of_ten(law: str) -> None:
         if judge(value, 1.0, low, high) != "TOO CLOSE":
             continue
         close += 1
-        factor = samples_needed(value, 1.0, low, high)
+        factor = Drawn(value, 1.0, low, high).needs()
         error = 1 / math.sqrt(factor)
         settled += judge(rng.normal(truth, error), error, low, high) != "TOO CLOSE"
     assert close > 600
@@ -117,7 +117,7 @@ def test_fewer_samples_than_asked_for_do_not() -> None:
         value = rng.normal(truth, 1.0)
         if judge(value, 1.0, None, 0.0) == "TOO CLOSE":
             close += 1
-            error = 1 / math.sqrt(max(1.0, samples_needed(value, 1.0, None, 0.0) / 10))
+            error = 1 / math.sqrt(max(1.0, Drawn(value, 1.0, None, 0.0).needs() / 10))
             open_still += judge(rng.normal(truth, error), error, None, 0.0) == "TOO CLOSE"
     assert open_still / close > 0.15
 
@@ -127,15 +127,27 @@ def test_an_error_that_samples_do_not_mend_is_told() -> None:
     rng = np.random.default_rng(SEED + 4)
     fixed, drawn = 0.2, math.sqrt(0.96)
     value = -1.95
-    factor = samples_needed(value, 1.0, None, 0.0, fixed=fixed)
+    factor = Drawn(value, 1.0, None, 0.0, fixed).needs()
     assert 1 < factor < math.inf
     error = math.sqrt(drawn**2 / factor + fixed**2)
     truths = rng.normal(value, drawn, 20_000)  # of what this reference gives
     again = rng.normal(truths, drawn / math.sqrt(factor))
     settled = np.mean([judge(v, error, None, 0.0) != "TOO CLOSE" for v in again])
     assert settled >= SETTLED - 0.01
-    assert samples_needed(-0.9, 1.0, None, 0.0, fixed=0.6) == math.inf
-    assert "no number of samples settles 9" in Claim.of("x", -0.9, 1.0, at_most=0.0, fixed=0.6).note
+    partly = Drawn(-1.5, 1.0, None, 0.0, fixed=0.3)
+    claim = Claim.of("x", -1.5, 1.0, at_most=0.0, fixed=0.3)
+    assert claim.needs == partly.needs() < math.inf
+    assert partly.settled(1e9) < SETTLED
+    drawn = math.sqrt(1 - 0.09)
+    again = rng.normal(rng.normal(-1.5, drawn, 20_000), drawn / math.sqrt(claim.needs))
+    error = math.sqrt(0.91 / claim.needs + 0.09)
+    share = np.mean([judge(v, error, None, 0.0) != "TOO CLOSE" for v in again])
+    assert share == pytest.approx(partly.settled(claim.needs), abs=0.012)  # 4 standard errors
+    assert f"which settle {100 * partly.settled(claim.needs):.0f} % of cases" in claim.note
+    assert "More do not help, since of its error 1.0 a part of 0.30 is that of what it is held against." in claim.note
+    none = Claim.of("x", -0.9, 1.0, at_most=0.0, fixed=0.8)
+    assert none.needs == math.inf
+    assert "no number of samples settles it" in none.note
 
 
 def test_p_values_against_draws() -> None:

@@ -281,3 +281,31 @@ def test_a_table_of_numpys_numbers_becomes_plain() -> None:
     made = plain({"a": np.float64(1.5), "b": np.arange(3), "c": (np.int64(2), Path("x")), "d": {"e": True}})
     assert made == {"a": 1.5, "b": [0, 1, 2], "c": [2, "x"], "d": {"e": True}}
     assert type(made["a"]) is float
+
+
+def test_claims_are_told_apart_by_verdict_and_group() -> None:
+    claims = Claims(
+        [
+            Claim.of("rmse a vs human liver", 0.099, 0.001, 0.0, 0.1),
+            Claim.of("rmse b vs human liver", 0.09, 0.001, 0.0, 0.1),
+            Claim.of("rmse c vs human liver", 0.3, 0.001, 0.19, 0.04),
+            Claim.missing("energy residual", "no account", reference=0.0, tolerance=0.1),
+        ]
+    )
+    assert repr(claims) == "<4 claims: 1 PASS, 1 FAIL, 1 TOO CLOSE, 1 MISSING>"
+    assert [c.criterion[5] for c in (*claims.passed, *claims.failed, *claims.too_close)] == ["b", "c", "a"]
+    assert claims.too_close[0].needs > 1
+    assert len(claims.missing) == 1
+    assert [len(claims.group(g)) for g in ("reproduces", "agrees", "checks")] == [1, 2, 1]
+    with pytest.raises(InputError, match="group"):
+        claims.group("thesis")  # type: ignore[arg-type]
+    shown = claims._repr_html_()
+    for heading in (
+        "Reproduces the thesis",
+        "Agrees with measured liver",
+        "Livlab's own checks".replace("'", "&#x27;"),
+    ):
+        assert heading in shown
+    assert shown.index("Reproduces") < shown.index("Agrees") < shown.index("own checks")
+    assert "color:#2a6fc4>TOO CLOSE" in shown
+    assert list(claims.to_pandas().columns[-5:]) == ["group", "at_least", "at_most", "needs", "note"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from pathlib import Path
 
@@ -12,8 +14,9 @@ from typer.testing import CliRunner
 from livlab.cli.app import app
 from livlab.config import builtin_experiments
 from livlab.criteria import Claim
-from livlab.dossier.baseline import compare, load_baseline, updated, write_baseline
+from livlab.dossier.baseline import Baseline, compare, load_baseline, told, undecided, updated, write_baseline
 from livlab.dossier.config import builtin_dossier, load_dossier
+from livlab.dossier.sure import claims_of, claims_table, family_of, family_record
 from livlab.dossier.validate import Ended, Planned, found, planned, validate
 from livlab.errors import ConfigError, Interrupted
 
@@ -136,6 +139,38 @@ def test_a_baseline_tells_what_was_lost_and_what_was_gained(tmp_path: Path) -> N
     assert updated(first, ended, unrecorded)["experiments"]["one"]["holds"] == ["slope"]  # kept: it did not run
     del ended["one"]
     assert compare(first, ended, unrecorded)[0][0].why == "its experiment is gone"
+
+
+def test_a_claim_that_is_too_close_now_is_told_and_not_lost(tmp_path: Path) -> None:
+    file, _, ended = ended_three(tmp_path)
+    unrecorded = load_dossier(file).unrecorded
+    held = Baseline({"one": ("slope", "height"), "unlisted": ()}, {}, "baseline.json")
+    near = (Claim.of("slope", 2.09, 0.01, 2.0, 0.1), Claim.of("height", 9.0, 0.5, 1.0, 2.0))
+    ended["one"] = Ended("complete", folder=write_run(tmp_path / "runs" / "near", claims=near))
+    lost, gained = compare(held, ended, unrecorded)
+    assert [(c.claim, c.verdict) for c in lost] == [("height", "FAIL")]
+    assert gained == []
+    (close,) = undecided(held, ended, unrecorded)
+    assert (close.claim, close.verdict) == ("slope", "TOO CLOSE")
+    assert "needs about" in close.why
+    assert told(held, lost, gained, [close])["undecided"][0]["claim"] == "slope"
+    assert updated(held, ended, unrecorded)["experiments"]["one"]["holds"] == []
+
+
+def test_the_dossier_states_the_error_of_all_its_claims(tmp_path: Path) -> None:
+    _, _, ended = ended_three(tmp_path)
+    claims = claims_of(ended)
+    found = family_record(family_of(claims))
+    assert (found["claims"], found["decided"], found["fails"]) == (2, 2, 1)  # slope and height; seconds are exact
+    assert found["at_least_one_wrong_sidak"] == pytest.approx(1 - (1 - 0.02275) ** 2, abs=1e-6)
+    assert found["fails_in_doubt"] == []
+    assert found["again_seconds_of_fails"] == 8.0
+    json.dumps(found, allow_nan=False)
+    rows = list(csv.DictReader(io.StringIO(claims_table(claims))))
+    assert [r["criterion"] for r in rows] == ["slope", "height", "depth", "seconds thesis"]
+    assert rows[1]["again_seconds"] == "8"
+    assert float(rows[1]["p_holm"]) < 1e-20
+    assert rows[3]["p"] == ""
 
 
 def test_a_damaged_baseline_is_told(tmp_path: Path) -> None:
