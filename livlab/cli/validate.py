@@ -69,8 +69,7 @@ def validate(
     held_file = baseline or file.with_name("baseline.json")
     held = load_baseline(held_file)
     chosen = tuple(only or ())
-    if check and not held.file:
-        raise ConfigError(f"{held_file}: there is no baseline to check against.", remedy="Make it: --update-baseline.")
+    _checkable(held_file, held if check else None)
     if scheduler != "local":
         from livlab.jobs.scheduler import open_scheduler
 
@@ -86,17 +85,21 @@ def validate(
         write_baseline(held_file, updated(held, ended, config.unrecorded, chosen, taken))
         held = load_baseline(held_file)
     lost, gained = compare(held, ended, config.unrecorded, chosen)
-    open_now = undecided(held, ended, config.unrecorded, chosen)
-    claims = claims_of(ended)
-    family = family_of(claims)
-    data = record(config, experiments, ended, told(held, lost, gained, open_now), out, family=family_record(family))
-    page = _site(data, out)
+    changed = Changes(lost, undecided(held, ended, config.unrecorded, chosen), gained)
+    family = family_of(claims_of(ended))
+    known, sure = told(held, lost, gained, changed.undecided), family_record(family)
+    page = _site(record(config, experiments, ended, known, out, family=sure), out)
     _show(experiments, ended, quiet=quiet)
     _sure(family, quiet=quiet)
-    _changes(held, Changes(lost, open_now, gained), quiet=quiet)
+    _changes(held, changed, quiet=quiet)
     typer.echo(page)
     if check and lost:
         raise typer.Exit(1)
+
+
+def _checkable(file: Path, held: Baseline | None) -> None:
+    if held is not None and not held.file:
+        raise ConfigError(f"{file}: there is no baseline to check against.", remedy="Make it: --update-baseline.")
 
 
 def _run_all(

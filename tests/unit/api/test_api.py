@@ -303,7 +303,7 @@ def test_claims_are_told_apart_by_verdict_and_group() -> None:
     for heading in (
         "Reproduces the thesis",
         "Agrees with measured liver",
-        "Livlab's own checks".replace("'", "&#x27;"),
+        "Livlab&#x27;s own checks",
     ):
         assert heading in shown
     assert shown.index("Reproduces") < shown.index("Agrees") < shown.index("own checks")
