@@ -207,12 +207,12 @@ def test_a_run_writes_the_models_and_prints_the_spread(tmp_path: Path):
     assert "The alternative “half” sets oxygen to 0.5." in page
 
 
-def bare_liver(grid, values, seed):
-    """Liver without its capsule, with one per cent of noise."""
+def bare_liver(grid, values, seed, sd=0.01):
+    """Liver without its capsule, with noise as a share of the curve."""
     truth = livlab.spectrum("liver", "measured", grid, changes={**ENDLESS, **values}, variant="parenchyma_only",
                             instrument=CAMERA, solver="adding-doubling")  # fmt: skip
     rng = np.random.default_rng(seed)
-    return livlab.Spectrum(grid, truth.value * (1 + 0.01 * rng.standard_normal(len(grid))), 0.01 * truth.value)
+    return livlab.Spectrum(grid, truth.value * (1 + sd * rng.standard_normal(len(grid))), sd * truth.value)
 
 
 def test_tissue_without_a_capsule_fitted_with_one_is_told_by_the_alternative():
@@ -276,13 +276,17 @@ def test_the_shipped_fit_of_a_liver_without_capsule(loss, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_two_scattering_laws_fitted_by_one(seed):
-    """A wide band tells two laws from one; a narrow one does not, and then the spread holds what one law misses."""
+    """A wide band tells two laws from one; a narrow one does not, and then the spread holds what one law misses.
+
+    Least squares over adding–doubling's spectra without noise leave one law χ² 79 on 500–900 nm by 10 at 0.5 %, and
+    1.4 on 500–720 nm at 1 %: the first must tell, the second cannot.
+    """
     laws = {"two laws": {"set": {CELLS + "fine": FINE}, "parameters": {CELLS + "fine.a_per_cm": (0.0, 15.0, 2.0)}}}
     values = {**TRUTH, CELLS + "published.b": 0.5}
     truth = {**values, CELLS + "fine": {**FINE, "a_per_cm": 6.0}}
-    for last, decisive in ((900.0, True), (720.0, False)):
-        grid = np.arange(500.0, last + 1.0, 20.0 if decisive else 10.0)
-        found = livlab.fit(bare_liver(grid, truth, seed), ALL, variant="parenchyma_only", changes=ENDLESS,
+    for last, sd, decisive in ((900.0, 0.005, True), (720.0, 0.01, False)):
+        grid = np.arange(500.0, last + 1.0, 10.0)
+        found = livlab.fit(bare_liver(grid, truth, seed, sd), ALL, variant="parenchyma_only", changes=ENDLESS,
                            instrument=CAMERA, loss="chi2", scaling="none", alternatives=laws)  # fmt: skip
         print(found, found.alternatives[["loss", "p", "weight"]].to_dict())
         if decisive:
