@@ -146,7 +146,8 @@ class _Run:
             value_tolerance=VALUE_TOLERANCE,
             warn=False,
             callback=self._watch,
-            **({"starts": [at]} if self.searches else first),
+            # Later searches start from the optimum that the whole box's recording led to: no other valley is asked for.
+            **({"starts": [at], "spare": 0} if self.searches else first),
         )
         self.seconds["search"] += time.perf_counter() - clock
         if found.interrupted or self.stopping():

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from livlab.errors import InputError, LivlabError
-from livlab.fitting.targets import CurveTarget
+from livlab.fitting.targets import ROUNDING, CurveTarget
 from livlab.optimise import Parameter, ParameterSpace
 from livlab.units import FloatArray
 
@@ -145,6 +145,15 @@ class Problem:
     def along(self, model: FloatArray, slope: FloatArray) -> FloatArray:
         """(N,) derivative of the residuals along a change of the modelled curve."""
         return np.concatenate([t.slope(model, slope, w) for t, w in zip(self.targets, self.whitening, strict=True)])
+
+    def least_variance(self, values: Mapping[str, float]) -> float:
+        """Variance that rounding alone gives a residual: no data are known better than the curves' last digits."""
+        model = self.answer(values).value
+        rounded = model * (1.0 + ROUNDING * np.where(np.arange(len(model)) % 2, 1.0, -1.0))
+        return float(np.mean((self._residuals(rounded) - self._residuals(model)) ** 2))
+
+    def _residuals(self, model: FloatArray) -> FloatArray:
+        return np.concatenate([t.residuals(model, w) for t, w in zip(self.targets, self.whitening, strict=True)])
 
     def shaken(self, values: Mapping[str, float]) -> FloatArray:
         """(N, K) roots of the covariance that the forward model's errors give to the residuals.

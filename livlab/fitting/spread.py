@@ -62,9 +62,9 @@ class ParameterSpread:
 def residual_variance(problem: Problem, at: Mapping[str, float]) -> tuple[float, float]:
     """Variance of one residual, and the neighbours' correlation of the residuals.
 
-    With every σ known it is 1. Else the residuals show their own size. Where neighbours are alike, only
-    n_e = n (1 − ρ)/(1 + ρ) of n count (Bartlett 1935, first order): Σ r²/n · n_e/(n_e − p) each, and n/n_e times that
-    for what they say together.
+    With every σ known it is 1. Else the residuals show their own size, which is not below rounding's. Where neighbours
+    are alike, only n_e = n (1 − ρ)/(1 + ρ) of n count (Bartlett 1935, first order): Σ r²/n · n_e/(n_e − p) each, and
+    n/n_e times that for what they say together.
     """
     r = problem.residuals(at)
     free = len(problem.space.free)
@@ -73,7 +73,7 @@ def residual_variance(problem: Problem, at: Mapping[str, float]) -> tuple[float,
     correlation = _neighbours(r)
     held = max(correlation, 0.0)
     count = max(len(r) * (1.0 - held) / (1.0 + held), free + 1.0)
-    return float(r @ r) / max(count - free, 1.0), correlation
+    return max(float(r @ r) / max(count - free, 1.0), problem.least_variance(at)), correlation
 
 
 def _scatter(

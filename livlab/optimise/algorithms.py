@@ -109,7 +109,7 @@ STOPS = {
     5: ("the limit of evaluations was reached", False),
     6: ("the limit of time was reached", False),
     -1: ("NLopt failed without a reason; the best point seen is kept", False),
-    -2: ("NLopt refused the problem", False),
+    -2: ("NLopt refused the problem; the best point seen is kept", False),
     -3: ("NLopt ran out of memory; the best point seen is kept", False),
     -4: ("rounding left nothing to gain (ROUNDOFF_LIMITED)", True),
     -5: ("stopped from outside (FORCED_STOP)", False),

@@ -19,6 +19,10 @@ SINGULAR = 1e-12
 """Share of the largest eigenvalue of the scaled information below which a direction counts as not measured at all."""
 
 
+TOLD_APART = 0.01
+"""Share of its standard deviation by which a parameter is off a bound that lies within a hair."""
+
+
 @dataclass(frozen=True, eq=False)
 class Covariance:
     """Second moments of the free parameters about the optimum.
@@ -118,7 +122,13 @@ def covariance(
     centre = value(x)
     if not math.isfinite(centre):
         raise InputError.of("best", dict(best), "the objective is not finite there", "Give the minimum found.")
-    keep = _inside(space, x)
+
+    def told_apart(k: int, bound: float) -> bool:
+        moved = x.copy()
+        moved[k] = bound
+        return bool(value(moved) - centre > TOLD_APART**2 * one_sigma)
+
+    keep = _inside(space, x, told_apart)
     steps = np.array([_step(value, x, k, space, centre, one_sigma) for k in keep])
     hessian = np.zeros((len(keep), len(keep)))
     for a, i in enumerate(keep):
@@ -151,17 +161,13 @@ def covariance_of_residuals(
     """
     space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)
     x = space.vector(best)
-    keep = _inside(space, x)
-    columns: list[FloatArray] = []
-    slopes = space.slopes(x)
-    for k in keep:
-        name = space.names[k]
-        total = np.asarray(jacobian[name], dtype=np.float64)
-        for p in space.parameters:
-            if p.tied == name and p.name in jacobian:
-                total = total + p.factor * np.asarray(jacobian[p.name])
-        columns.append(total * slopes[k])
-    matrix = np.array(columns).reshape(len(keep), -1) if keep else np.zeros((0, 0))  # every one is at a bound
+    whole, slopes = space.columns(x, jacobian).T, space.slopes(x)
+
+    def told_apart(k: int, bound: float) -> bool:
+        return bool(abs(x[k] - bound) * float(np.linalg.norm(whole[k])) > TOLD_APART * math.sqrt(variance))
+
+    keep = _inside(space, x, told_apart)
+    matrix = whole[keep] if keep else np.zeros((0, 0))  # every one is at a bound
     normal = matrix @ matrix.T
     for row, k in enumerate(keep):
         sd = space.free[k].prior_sd
@@ -222,10 +228,16 @@ def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     return inverse / np.outer(scale, scale), lost
 
 
-def _inside(space: ParameterSpace, x: FloatArray) -> list[int]:
+def _inside(space: ParameterSpace, x: FloatArray, told_apart: Callable[[int, float], bool]) -> list[int]:
+    """Parameters that are at no bound: far from it, or near but told apart from it by the objective."""
     width = np.where(np.isfinite(space.high - space.low), space.high - space.low, 1.0)
-    room = np.minimum(x - space.low, space.high - x)
-    return [k for k in range(x.size) if room[k] > AT_BOUND * width[k]]
+    kept = []
+    for k in range(x.size):
+        bound = float(space.low[k] if x[k] - space.low[k] <= space.high[k] - x[k] else space.high[k])
+        room = abs(x[k] - bound)
+        if room > AT_BOUND * width[k] or (room > 0.0 and told_apart(k, bound)):
+            kept.append(k)
+    return kept
 
 
 def _step(

@@ -8,8 +8,31 @@ import numpy as np
 import pandas as pd
 
 from livlab.optimise.guard import Guard
-from livlab.optimise.parameters import ParameterSpace
+from livlab.optimise.parameters import AT_BOUND, ParameterSpace
+from livlab.optimise.result import Convergence
 from livlab.units import FloatArray
+
+
+def settle_on_bounds(guard: Guard, noise: float) -> bool:
+    """Move what lies within a hair of a bound onto it, unless the objective tells the two apart; whether this was done.
+
+    A parameter near its bound is not at it where the objective there is higher by more than its noise.
+    """
+    assert guard.best_x is not None
+    space, floor = guard.space, 3.0 * noise if math.isfinite(noise) else 0.0
+    width = np.where(np.isfinite(space.high - space.low), space.high - space.low, 1.0)
+    for k in range(guard.best_x.size):
+        for bound in (float(space.low[k]), float(space.high[k])):
+            if guard.best_x[k] == bound or abs(guard.best_x[k] - bound) > AT_BOUND * width[k]:
+                continue
+            if guard.over():
+                return False
+            moved = guard.best_x.copy()
+            moved[k] = bound
+            value, before = guard.probe(moved), guard.best
+            if value <= before + floor:
+                guard.settle(moved, value)
+    return True
 
 
 def does_nothing(guard: Guard, best: FloatArray, name: str) -> bool:
@@ -33,14 +56,15 @@ def sentences(
     values: dict[str, float],
     path: pd.DataFrame,
     idle: list[str],
+    convergence: Convergence,
 ) -> list[str]:
     """Sentences on what a reader should not trust."""
     notes = []
     if not space.free:
         notes.append("no parameter is free: the objective was only evaluated")
     finite = path["value"][np.isfinite(path["value"])]
-    level = float(finite.abs().max())
-    if space.free and len(finite) > 1 and float(finite.max() - finite.min()) <= 1e-13 * level:
+    still = len(finite) > 1 and float(finite.max() - finite.min()) <= 1e-13 * float(finite.abs().max())
+    if space.free and still and (convergence.flat or math.isnan(convergence.decrease)):
         notes.append("the objective is flat: it did not change over the points tried, so the parameters mean nothing")
     for name, word in status.items():
         if word.startswith("at "):

@@ -135,10 +135,11 @@ class Parameter:
 
 
 class ParameterSpace:
-    """The free parameters as one vector x, each scaled to its box: x = (t − t_low)/(t_high − t_low).
+    """The free parameters as one vector x, each in units of its box, t_high − t_low.
 
-    A parameter without two finite transformed bounds is measured from its start instead, in units of max(|t|, 1) of
-    a linear one and 1 of a logarithm.
+    A linear parameter is measured from 0, so that a small one keeps all its digits; a logarithm or log-odds from its
+    lower bound, or from its start if that is infinite. Without two finite transformed bounds the unit is max(|t|, 1) of
+    a linear one's start and 1 of a logarithm.
 
     Parameters
     ----------
@@ -167,7 +168,12 @@ class ParameterSpace:
         self.names = tuple(p.name for p in self.free)
         ends = [(p.inward(p.low), p.inward(p.high), p.inward(p.start_value)) for p in self.free]
         boxed = [math.isfinite(low) and math.isfinite(high) for low, high, _ in ends]
-        self.origin = np.array([low if box else s for (low, _, s), box in zip(ends, boxed, strict=True)])
+        self.origin = np.array(
+            [
+                0.0 if p.transform == "linear" else low if box else s
+                for p, (low, _, s), box in zip(self.free, ends, boxed, strict=True)
+            ]
+        )
         self.unit = np.array(
             [
                 high - low if box else max(abs(s), 1.0) if p.transform == "linear" else 1.0
@@ -190,6 +196,9 @@ class ParameterSpace:
         """All parameters, also fixed and tied ones, at the vector x."""
         t = self.origin + self.unit * x
         found = {p.name: p.outward(float(ti)) for p, ti in zip(self.free, t, strict=True)}
+        for k, p in enumerate(self.free):
+            if p.transform != "logit" and not self.low[k] < x[k] < self.high[k]:
+                found[p.name] = float(p.low if x[k] <= self.low[k] else p.high)  # whatever the rounding
         for p in self.parameters:
             if p.tied is None and p.name not in found:
                 found[p.name] = p.start_value
@@ -212,12 +221,48 @@ class ParameterSpace:
             if not math.isfinite(value):
                 raise InputError.of(f"parameter {p.name}", value, "must be finite", "Give a number.")
             x[k] = (p.inward(min(max(value, p.low), p.high)) - self.origin[k]) / self.unit[k]
+            x[k] = self.low[k] if value <= p.low else self.high[k] if value >= p.high else x[k]
         return np.clip(x, self.low, self.high)
 
     def slopes(self, x: FloatArray) -> FloatArray:
         """dp/dx of the free parameters."""
         values = self.values(x)
         return np.array([p.slope(values[p.name]) * u for p, u in zip(self.free, self.unit, strict=True)])
+
+    def sizes(self, x: FloatArray) -> FloatArray:
+        """(n,) how large each parameter is in x: a linear one's number (or 1 of x), a log or logit one's unit step."""
+        t = self.origin + self.unit * x
+        linear = np.array([p.transform == "linear" for p in self.free], dtype=bool)
+        return np.where(linear, np.where(t != 0.0, np.abs(t) / self.unit, 1.0), 1.0 / self.unit)
+
+    def elsewhere(self, x: FloatArray, k: int) -> list[FloatArray]:
+        """Points with parameter k far from where it is: at its start, at the ends and the middle of its box.
+
+        Of an infinite box: at shares of its size, and at its opposite.
+        """
+        low, high = float(self.low[k]), float(self.high[k])
+        ends = [v for v in (low, high, 0.5 * (low + high)) if math.isfinite(v)]
+        size = float(self.sizes(x)[k])
+        shares = [] if len(ends) == 3 else [x[k] - share * size for share in (0.9, 0.999, 2.0, -9.0)]
+        found = []
+        for value in (float(self.start[k]), *ends, *shares):
+            moved = x.copy()
+            moved[k] = min(max(value, low), high)
+            if abs(moved[k] - x[k]) > 1e-6 * size:
+                found.append(moved)
+        return found
+
+    def columns(self, x: FloatArray, natural: Mapping[str, FloatArray]) -> FloatArray:
+        """(m, n) derivatives of m numbers by x, from those by every parameter, ties included by the chain rule."""
+        columns = []
+        none = np.zeros(next((np.size(column) for column in natural.values()), 0))
+        for name, slope in zip(self.names, self.slopes(x), strict=True):
+            total = np.array(natural.get(name, none), dtype=np.float64).ravel()
+            for p in self.parameters:
+                if p.tied == name and p.name in natural:
+                    total = total + p.factor * np.ravel(natural[p.name])
+            columns.append(total * slope)
+        return np.array(columns).T
 
     def gradient(self, x: FloatArray, natural: Mapping[str, float]) -> FloatArray:
         """Gradient with x from derivatives by every parameter, ties included by the chain rule."""
@@ -235,6 +280,22 @@ class ParameterSpace:
             if p.prior_mean is not None and p.prior_sd is not None
         )
 
+    def prior_residuals(self, x: FloatArray, scale: float) -> FloatArray:
+        """(P,) residuals whose ½ Σ r² is scale × `prior`, of the parameters with a prior."""
+        values = self.values(x)
+        known = [(p, p.prior_mean, p.prior_sd) for p in self.parameters]
+        found = [(values[p.name] - mean) / sd for p, mean, sd in known if mean is not None and sd is not None]
+        return math.sqrt(scale) * np.array(found, dtype=np.float64)
+
+    def prior_columns(self, x: FloatArray, scale: float) -> FloatArray:
+        """(P, n) their derivatives by x."""
+        rows = []
+        for p in self.parameters:
+            if p.prior_sd is not None:
+                along = {q.name: np.array([1.0 if q.name == p.name else 0.0]) for q in self.parameters}
+                rows.append(self.columns(x, along)[0] * math.sqrt(scale) / p.prior_sd)
+        return np.array(rows).reshape(-1, x.size)
+
     def prior_gradient(self, values: Mapping[str, float]) -> dict[str, float]:
         """Derivatives of `prior` by each parameter's value."""
         return {
@@ -243,22 +304,32 @@ class ParameterSpace:
             if p.prior_mean is not None and p.prior_sd is not None
         }
 
-    def status(self, x: FloatArray, start: FloatArray) -> dict[str, str]:
-        """Of each parameter: fixed, tied, at a bound, unchanged from the start, or free."""
+    def status(self, x: FloatArray, start: FloatArray, *, exact: bool = False) -> dict[str, str]:
+        """Of each parameter: fixed, tied, at a bound, unchanged from the start, or free.
+
+        Parameters
+        ----------
+        x, start
+            Where it ended and began.
+        exact
+            Only what lies on a bound is at it, since the objective was seen to tell it from the bound otherwise.
+        """
         found: dict[str, str] = {}
-        width = np.where(np.isfinite(self.high - self.low), self.high - self.low, 1.0)
+        width, sizes = np.where(np.isfinite(self.high - self.low), self.high - self.low, 1.0), self.sizes(x)
         for p in self.parameters:
             if p.tied is not None:
                 found[p.name] = f"tied to {p.tied}"
             elif p.name not in self.names:
                 found[p.name] = "fixed"
         for k, name in enumerate(self.names):
-            if x[k] - self.low[k] <= AT_BOUND * width[k]:
+            near = 0.0 if exact else AT_BOUND * width[k]
+            if x[k] - self.low[k] <= near:
                 found[name] = "at lower bound"
-            elif self.high[k] - x[k] <= AT_BOUND * width[k]:
+            elif self.high[k] - x[k] <= near:
                 found[name] = "at upper bound"
             else:
-                found[name] = "unchanged from start" if abs(x[k] - start[k]) < 1e-9 * width[k] else "free"
+                still = 1e-9 * min(float(width[k]), float(sizes[k])) if exact else 1e-9 * width[k]
+                found[name] = "unchanged from start" if abs(x[k] - start[k]) <= still else "free"
         return {p.name: found[p.name] for p in self.parameters}
 
     def finite_box(self) -> list[str]:

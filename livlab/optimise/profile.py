@@ -154,6 +154,7 @@ class _Walker:
             value_tolerance=1e-10,
             one_sigma=self.one_sigma,
             warn=False,
+            test=False,
         )
         self.evaluations += found.evaluations
         self.rows.append({**found.best, "objective": found.value})

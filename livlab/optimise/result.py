@@ -13,9 +13,65 @@ class FitWarning(UserWarning):
     """Something about a fit that its reader must know."""
 
 
+@dataclass(frozen=True)
+class Convergence:
+    """Whether the end of a search is a minimum, by test; true in a condition if it is.
+
+    Attributes
+    ----------
+    converged
+        The verdict.
+    words
+        Why.
+    decrease
+        What the quadratic model about the end still promises within the bounds, in the objective's unit; nan if the end
+        was not tested.
+    noise
+        Standard deviation of the objective's errors by chance or rounding; nan if the end was not tested.
+    flat
+        Whether nothing changes the objective there.
+    """
+
+    converged: bool
+    words: str
+    decrease: float = math.nan
+    noise: float = math.nan
+    flat: bool = False
+
+    def __bool__(self) -> bool:
+        return self.converged
+
+
+@dataclass(frozen=True)
+class Polish:
+    """What Levenberg–Marquardt made of the end of a least-squares search.
+
+    Attributes
+    ----------
+    origin
+        Where it began: "the search's end", or "the start" where that led lower.
+    before, after
+        The objective at the search's end, and at its own.
+    steps, evaluations
+        How many steps it took from there, and evaluations of the objective in all.
+    """
+
+    origin: str
+    before: float
+    after: float
+    steps: int
+    evaluations: int
+
+    def __str__(self) -> str:
+        return (
+            f"polished by Levenberg–Marquardt from {self.before:.8g} to {self.after:.8g} in {self.steps} steps from "
+            f"{self.origin}"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class OptimiseResult:
-    """Outcome of `minimise`; true in a condition if it converged to a finite value.
+    """Outcome of `minimise`; true in a condition if its end was shown to be a minimum.
 
     Attributes
     ----------
@@ -30,9 +86,9 @@ class OptimiseResult:
     seconds
         Wall time.
     stop
-        Why it stopped, in words.
+        Why it stopped, in words; with "stopped, not converged" and the reason where the end is no minimum by test.
     converged
-        Whether the last stage stopped by a tolerance (rounding included) rather than a limit or an interruption.
+        Whether its end was tested and is a minimum, see `convergence`.
     interrupted
         Whether the user stopped it.
     path
@@ -43,6 +99,10 @@ class OptimiseResult:
         Sentences.
     algorithm, seed, one_sigma
         What was run; the objective's rise that marks one standard deviation.
+    convergence
+        The test and its reason.
+    polish
+        What was polished, from what to what; None where no residuals are known.
     """
 
     best: dict[str, float]
@@ -60,6 +120,8 @@ class OptimiseResult:
     algorithm: str
     seed: int
     one_sigma: float
+    convergence: Convergence = Convergence(False, "the end was not tested")
+    polish: Polish | None = None
 
     def __bool__(self) -> bool:
         return self.converged and math.isfinite(self.value)
@@ -81,7 +143,9 @@ class OptimiseResult:
             "seconds": self.seconds,
             "stop": self.stop,
             "converged": self.converged,
+            "convergence": self.convergence.words,
             "interrupted": self.interrupted,
+            "polish": str(self.polish) if self.polish is not None else None,
             "warnings": list(self.warnings),
             "algorithm": self.algorithm,
             "seed": self.seed,
@@ -93,6 +157,7 @@ class OptimiseResult:
             f"{'value':<12} {self.value:.8g}",
             f"{'algorithm':<12} {self.algorithm}",
             f"{'stopped':<12} {self.stop}",
+            f"{'converged':<12} {'yes' if self else 'no'}: {self.convergence.words}",
             f"{'cost':<12} {self.evaluations} evaluations ({self.failures} failed), {self.seconds:.3g} s",
             "",
         ]

@@ -265,7 +265,7 @@ def _search(problem: BrdfProblem, loss: str, how: _Search) -> tuple[OptimiseResu
     trials = _trials(part, how.starts, how.seed)
     rows, best = [], None
     for number, values in enumerate(trials[: how.starts]):
-        one = _minimise(part, values, how._replace(seed=how.seed + number), 1e-9)
+        one = _minimise(part, values, how._replace(seed=how.seed + number), 1e-9, test=False)
         rows.append({"value": one.value, "evaluations": one.evaluations, "stop": one.stop, **one.best})
         if best is None or one.value < best.value:
             best = one
@@ -315,7 +315,9 @@ def _trials(problem: BrdfProblem, starts: int, seed: int) -> list[dict[str, floa
     return [values for _, _, values in sorted(scored)]
 
 
-def _minimise(problem: BrdfProblem, values: Mapping[str, float], how: _Search, tolerance: float) -> OptimiseResult:
+def _minimise(
+    problem: BrdfProblem, values: Mapping[str, float], how: _Search, tolerance: float, *, test: bool = True
+) -> OptimiseResult:
     space: ParameterSpace = problem.scaled_space(values)
     size = max(problem.value(values), 1e-300)
 
@@ -336,6 +338,7 @@ def _minimise(problem: BrdfProblem, values: Mapping[str, float], how: _Search, t
         max_seconds=max(how.deadline - time.perf_counter(), 1e-3),
         seed=how.seed,
         warn=False,
+        test=test,
     )
     if found.interrupted:
         raise Interrupted("The fit was stopped.", remedy="Run it again; max_seconds= ends it with a result.")
