@@ -123,7 +123,7 @@ def _show(outcome: Outcome, *, quiet: bool) -> None:
     if not quiet:
         console = Console()
         if outcome.claims:
-            _print_groups(console, outcome)
+            _print_claims(console, outcome.claims, _tissue(outcome.folder))
             _say_why(console, outcome)
         _say_misfit(console, outcome)
         _print_spread(console, outcome.folder)
@@ -150,28 +150,32 @@ def _print_spread(console: Console, folder: Path) -> None:
         console.print(told, highlight=False, markup=False, soft_wrap=True)
 
 
-def _print_groups(console: Console, outcome: Outcome) -> None:
-    """The claims by group, each under its heading with the number of each verdict."""
+def _tissue(folder: Path) -> str:
+    """The organ that a run is about, as its claims of agreement call it."""
     from livlab.core.toml_text import parse_toml
-    from livlab.criteria import GROUPS, group_title
-    from livlab.criteria.table import completed
-    from livlab.reports.folder import measured_tissue
-    from livlab.reports.tables import verdict_counts
+    from livlab.criteria.limits import measured_tissue
 
-    claims = completed(outcome.claims)
-    tissue = measured_tissue(parse_toml((outcome.folder / "config.toml").read_text(encoding="utf-8")))
-    groups = [(group, [c for c in claims if c["group"] == group]) for group in GROUPS]
-    tables = {group: _claims_table(own) for group, own in groups if own}
+    return measured_tissue(parse_toml((folder / "config.toml").read_text(encoding="utf-8")))
+
+
+def _print_claims(console: Console, claims: list[dict[str, str]], tissue: str = "liver") -> None:
+    """The claims by group, each under its heading with the number of each verdict."""
+    from livlab.criteria import GROUPS, group_title
+    from livlab.criteria.judging import verdict_counts
+    from livlab.criteria.table import completed
+
+    rows = completed(claims)
+    groups = [(group, own) for group in GROUPS if (own := [c for c in rows if c["group"] == group])]
+    tables = {group: _claims_table(own) for group, own in groups}
     endless = console.options.update(max_width=10_000)
     fits = all(console.measure(t, options=endless).maximum <= console.width for t in tables.values())
     for group, own in groups:
-        if own:
-            told = ", ".join(f"{n} {verdict}" for verdict, n in verdict_counts(own))
-            console.print(Text(f"{group_title(group, tissue)}: {told}", style="bold"), soft_wrap=True)
-            if fits:
-                console.print(tables[group])
-            else:
-                _print_lines(console, own)
+        told = ", ".join(f"{n} {verdict}" for verdict, n in verdict_counts(own))
+        console.print(Text(f"{group_title(group, tissue)}: {told}", style="bold"), soft_wrap=True)
+        if fits:
+            console.print(tables[group])
+        else:
+            _print_lines(console, own)
 
 
 def _claims_table(claims: list[dict[str, Any]]) -> Table:

@@ -8,8 +8,10 @@ should be a PASS, comes up in 2.3 % of repetitions at most. Nearer than that it 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 Verdict = Literal["PASS", "FAIL", "TOO CLOSE", "MISSING"]
 VERDICTS: tuple[Verdict, ...] = ("PASS", "FAIL", "TOO CLOSE", "MISSING")
@@ -162,6 +164,12 @@ class Drawn:
         left = gap**2 - self.fixed**2
         factor = self.sampled**2 / left if left > 0 else math.inf
         return math.inf if factor > MOST_SAMPLES or factor == 0 else _up(factor)
+
+
+def verdict_counts(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, int], ...]:
+    """Number of claims by verdict, those that there are, in the order in which they are shown."""
+    counts = Counter(row["verdict"] for row in rows)
+    return tuple((v, counts[v]) for v in VERDICTS if counts[v])
 
 
 def former_judge(value: float, standard_error: float, reference: float, tolerance: float) -> tuple[Verdict, str]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from livlab.criteria.rounding import format_value
 from livlab.errors import InputError
@@ -156,6 +157,18 @@ def group_title(group: str, tissue: str = "liver") -> str:
     """
     titles = {"reproduces": "Reproduces the thesis", "agrees": f"Agrees with measured {tissue}"}
     return titles.get(group, "Livlab's own checks")
+
+
+def measured_tissue(config: Mapping[str, Any]) -> str:
+    """The organ of an experiment, without "human"; "liver" where it names none.
+
+    >>> measured_tissue({"tissue": {"inline": {"name": "human skin"}}}), measured_tissue({})
+    ('skin', 'liver')
+    """
+    tissue = config.get("tissue")
+    inline = tissue.get("inline") if isinstance(tissue, Mapping) else None
+    name = str(inline.get("name", "")) if isinstance(inline, Mapping) else ""
+    return "liver" if not name or "liver" in name.lower() else name.removeprefix("human ")
 
 
 def metric_named(criterion: str) -> str:

@@ -16,6 +16,7 @@ from livlab.core.files import first_line, readable
 from livlab.core.netcdf import NetcdfTrouble, load_netcdf
 from livlab.core.toml_text import parse_toml
 from livlab.criteria import COLUMNS, FORMER_COLUMNS
+from livlab.criteria.limits import measured_tissue
 from livlab.criteria.table import completed
 from livlab.errors import InputError, LivlabError
 from livlab.runs.files import sha256
@@ -118,18 +119,6 @@ def read_run(folder: Path) -> RunData:
         coefficients=coefficients,
         former_rule="group" not in written,
     )
-
-
-def measured_tissue(config: Mapping[str, Any]) -> str:
-    """The organ of an experiment, without "human"; "liver" where it names none.
-
-    >>> measured_tissue({"tissue": {"inline": {"name": "human skin"}}}), measured_tissue({})
-    ('skin', 'liver')
-    """
-    tissue = config.get("tissue")
-    inline = tissue.get("inline") if isinstance(tissue, Mapping) else None
-    name = str(inline.get("name", "")) if isinstance(inline, Mapping) else ""
-    return "liver" if not name or "liver" in name.lower() else name.removeprefix("human ")
 
 
 def _claims(table: pd.DataFrame) -> pd.DataFrame:

@@ -12,6 +12,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from livlab.criteria.judging import verdict_counts
 from livlab.reports import cost, figures, reviewer
 from livlab.reports.folder import RunData, read_run, sound
 from livlab.reports.stress import hard_cases
@@ -22,7 +23,6 @@ from livlab.reports.tables import (
     claim_tables,
     from_frame,
     number,
-    verdict_counts,
 )
 from livlab.runs.files import told_plainly, write_whole
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import pandas as pd
 
 from livlab.criteria import GROUPS, VERDICTS, group_title
+from livlab.criteria.judging import verdict_counts
 
 NOT_AVAILABLE = "not available"
 LONG_TEXT = 28
@@ -229,12 +229,6 @@ def claim_rows(claims: pd.DataFrame, reasons: Mapping[str, str]) -> tuple[dict[s
             }
         )
     return tuple(rows)
-
-
-def verdict_counts(rows: Iterable[Mapping[str, str]]) -> tuple[tuple[str, int], ...]:
-    """Number of claims by verdict, those that there are, in the order in which they are shown."""
-    counts = Counter(row["verdict"] for row in rows)
-    return tuple((v, counts[v]) for v in VERDICTS if counts[v])
 
 
 def claim_tables(rows: Sequence[Mapping[str, str]], tissue: str, caption: str = "") -> tuple[ClaimTable, ...]:
