@@ -20,12 +20,12 @@ COUNTED = 1e-10
 
 
 def drawn(rng, near):
-    """A stack: one to three layers, optical depths of 1e-6 to 1e3, g up to .99; or two of nearly the same index."""
+    """A stack: one to three layers, optical depths of 1e-6 to 1e3, g up to .99; or up to four about two indices."""
     layers = []
-    base = float(rng.uniform(1.3, 1.5))
-    for _ in range(2 if near else int(rng.choice([1, 1, 2, 3]))):
+    bases = rng.uniform(1.3, 1.5, 2)
+    for _ in range(int(rng.choice([2, 2, 3, 4] if near else [1, 1, 2, 3]))):
         n = float(rng.choice([1.0, 1.33, 1.4, 1.5, rng.uniform(1.0, 1.6)]))
-        n = base * (1 + float(rng.choice([-1, 1])) * 10 ** rng.uniform(-3, -1)) if near else n
+        n = float(rng.choice(bases)) * (1 + float(rng.choice([-1, 1])) * 10 ** rng.uniform(-9, -1)) if near else n
         depth, thickness = 10 ** rng.uniform(-6, 3), 10 ** rng.uniform(-3, 1)
         albedo = float(rng.choice([1 - 10 ** rng.uniform(-6, 0), rng.uniform(0, 1)]))
         g = float(rng.choice([0, 0.5, 0.8, 0.9, 0.95, 0.99, rng.uniform(-0.5, 0.99)]))
@@ -99,6 +99,25 @@ def test_what_is_not_reached_is_said_and_ends():
     assert not bool(found.converged[0])
     assert int(found.nodes[0]) == 96
     assert "the wished error of 1e-17 was not reached at 500 nm with 96 nodes" in found.attrs["notes"]
+
+
+def test_crossing_pairs_stay_finite():
+    """Two pairs of nearly equal indices, whose corners lie in a narrow interval, too."""
+
+    def solved(gap):
+        phases = [HenyeyGreenstein(g) for g in (0.8, 0.9, 0.95, 0.9)]
+        indices = (1.4, 1.4 + gap, 1.37, 1.37 + gap)
+        rates = ((0.1, 10.0, 0.5), (0.2, 5.0, 1.0), (0.01, 10.0, 0.1), (0.5, 15.0, 5.0))
+        return adding_doubling(plain_stack([(n, *r, p) for n, r, p in zip(indices, rates, phases, strict=True)]))
+
+    equal = solved(0.0)
+    for gap in GAPS[1:]:
+        result = solved(gap)
+        assert bool(result.converged[0])
+        assert abs(float(result.residual[0])) < 1e-9
+        for name in ("reflectance", "transmittance", "reflectance_diffuse_incidence"):
+            off = abs(float(result[name][0]) - float(equal[name][0]))
+            assert off <= 0.5 * gap + float(result[f"{name}_error"][0]), (gap, name)
 
 
 GAPS = (0.0, 1e-12, 1e-10, 2e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)

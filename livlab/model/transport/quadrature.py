@@ -35,6 +35,9 @@ _SHARPEST = 1e-3
 _SOFT_NODES = 0.1
 """Nodes more, as a share, that a near corner takes for each factor e between its own scale and the interval's."""
 
+_BEYOND = 3.0
+"""A node is a point if a projection exceeds its solid angle, which bounds |P_l|'s, by more than this factor."""
+
 _LITTLE = 1e-2
 """Share of an interval's flux from which on it is a small one."""
 
@@ -235,8 +238,22 @@ def legendre_table(grid: AngularGrid, n: float, order: int) -> FloatArray:
             fine = 0.45 if interval.soft == 0.0 else 0.9
             t, w = gauss_legendre(8 * math.ceil((count + 20 + fine * order * width) / 8))
             mu = interval.cosines(n, t)
-            blocks.append((mu, lagrange(count, t) * (w * interval.flux(t) / (n * n) / mu)[:, None]))
-    mu = np.concatenate([b[0] for b in blocks])
+            weights = lagrange(count, t) * (w * interval.flux(t) / (n * n) / mu)[:, None]
+            blocks.append((mu, weights))
+    values = _polynomials(order, np.concatenate([b[0] for b in blocks]))
+    columns, start = [], 0
+    for cosines, weights in blocks:
+        columns.append(values[:, start : start + cosines.size] @ weights)
+        start += cosines.size
+    table: FloatArray = np.hstack(columns)
+    if any(grid.soft):
+        _mend_corners(table, grid, n)
+    table.setflags(write=False)
+    return table
+
+
+def _polynomials(order: int, mu: FloatArray) -> FloatArray:
+    """(order + 1, len(mu)) Legendre polynomials, by recurrence."""
     values = np.empty((order + 1, mu.size))
     values[0] = 1.0
     if order > 0:
@@ -245,10 +262,18 @@ def legendre_table(grid: AngularGrid, n: float, order: int) -> FloatArray:
         np.multiply(mu, values[k], out=values[k + 1])
         values[k + 1] *= (2 * k + 1) / (k + 1)
         values[k + 1] -= (k / (k + 1)) * values[k - 1]
-    columns, start = [], 0
-    for cosines, weights in blocks:
-        columns.append(values[:, start : start + cosines.size] @ weights)
-        start += cosines.size
-    table: FloatArray = np.hstack(columns)
-    table.setflags(write=False)
-    return table
+    return values
+
+
+def _mend_corners(table: FloatArray, grid: AngularGrid, n: float) -> None:
+    """Take nodes for points where their solid angle is lost in what the integrals of their interval are off.
+
+    Next to a near corner solid angles of an interval differ by many powers of ten; scattering into the smallest, which
+    divides by them, would be beyond all bounds.
+    """
+    active = grid.active(n)
+    cosines = grid.cosines(n)
+    solid = grid.flux()[active] / (n * n * cosines)
+    lost = np.flatnonzero((solid > 0.0) & (np.abs(table).max(axis=0) > _BEYOND * solid))
+    if lost.size:
+        table[:, lost] = _polynomials(len(table) - 1, cosines[lost]) * solid[lost]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from livlab.model.transport.doubling import redistribution
 from livlab.model.transport.quadrature import AngularGrid, gauss_legendre, lagrange, legendre_table
 
 NORMAL = (1.0, 1.0)
@@ -83,6 +84,22 @@ def test_a_soft_interval_integrates_both_cosines(apart):
     for n in (high, denser):
         exact = ((n * n - low * low) ** 1.5 - (n * n - high * high) ** 1.5) / (3 * n)
         assert (w * interval.flux(t)) @ interval.cosines(n, t) == pytest.approx(exact, rel=3e-9)
+
+
+def test_scattering_between_nodes_stays_bounded_next_to_near_corners():
+    """Tiny nodes' shares are not the rounding of large ones: with shares beyond all bounds doubling overflows."""
+    rng = np.random.default_rng(5)
+    moments = 0.95 ** np.arange(338)
+    for _ in range(40):
+        indices = [rng.uniform(1.3, 1.5)]
+        for _ in range(3):
+            indices.append(rng.choice(indices) * (1 + 10 ** rng.uniform(-9, -1.3) * rng.choice([-1, 1])))
+        for nodes in (8, 12, 16):
+            grid = AngularGrid.of((1.0, *indices), nodes, NORMAL)
+            for n in grid.breaks[1:]:
+                forward, backward = redistribution(grid, n, moments)
+                assert min(forward.min(), backward.min()) > -4
+                np.testing.assert_allclose(forward.sum(axis=0) + backward.sum(axis=0), 1.0, atol=1e-9)
 
 
 def test_rounding_never_makes_a_cosine_above_one():
