@@ -7,7 +7,7 @@ hangs on them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from livlab.criteria.judging import (
@@ -334,7 +334,10 @@ def _what_settles(d: Drawn, samples: str) -> tuple[float, str]:
     )
     if math.isinf(needs):
         why = part if d.fixed > 0 else "its limits lie too near to each other"
-        return needs, told + f"no number of {samples} settles it, since {why}."
+        both = replace(d, fixed=0.0).if_it_stays()
+        also = f" {both:g} × the {samples} and the measurements behind it would, if the value stays where it is."
+        also = also if d.fixed > 0 and math.isfinite(both) else ""
+        return needs, told + f"no number of {samples} settles it, since {why}.{also}"
     told += f"needs about {needs:g} × the {samples}, which settle "
     told += "9 cases in 10" if most >= SETTLED else f"{100 * d.settled(needs):.0f} % of cases"
     told += f"; {stays:g} × if the value stays where it is" if stays < needs else ""

@@ -148,6 +148,7 @@ def test_an_error_that_samples_do_not_mend_is_told() -> None:
     none = Claim.of("x", -0.9, 1.0, at_most=0.0, fixed=0.8)
     assert none.needs == math.inf
     assert "no number of samples settles it" in none.note
+    assert "5 × the samples and the measurements behind it would" in none.note  # (2/0.9)²
 
 
 def test_p_values_against_draws() -> None:
