@@ -14,7 +14,7 @@ trap 'rm -rf "$room"' EXIT
   exit 1
 }
 # What a clean checkout has goes into the archive, what runs and builds left behind does not.
-strays=$(tar tzf "$room"/dist/*.tar.gz | grep -E '/(runs|\.venv|build|dist|site|__pycache__)/' || true)
+strays=$(tar tzf "$room"/dist/*.tar.gz | grep -E '^[^/]+/(runs|\.venv|build|dist|site)/|/__pycache__/' || true)
 [ -z "$strays" ] || { printf 'the source archive holds %s\n' "$strays" >&2; exit 1; }
 
 constraints=$PWD/constraints.txt
